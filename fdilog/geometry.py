@@ -18,14 +18,15 @@ References
 from __future__ import annotations
 
 import difflib
-import itertools
-from collections.abc import Sequence
 from statistics import NormalDist
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Floats = NDArray[np.float64]
 
@@ -43,15 +44,21 @@ COLLINEAR_TOLERANCE = 1e-6
 """Sine below which two parity columns are one line in floating point; rounding alone gives 1e-8."""
 
 
-def two_triads(azimuth_rad: float, cone_rad: float, first_azimuth_rad: float = 0.0) -> Floats:
-    """Axes of two triads on one cone, the second turned about it and mirrored in its base.
+def two_triads(
+    azimuth_rad: float,
+    cone_rad: float,
+    second_cone_rad: float | None = None,
+    first_azimuth_rad: float = 0.0,
+) -> Floats:
+    """Axes of two triads about one axis, the second turned and its cone opening downwards.
 
     Parameters
     ----------
     azimuth_rad
         Azimuth of the second triad relative to the first. [rad]
-    cone_rad
-        Angle between every axis and the axis of the cone. [rad]
+    cone_rad, second_cone_rad
+        Angle between the axis of the cone and every axis of the first and the second triad; one
+        angle for both if only one is given. [rad]
     first_azimuth_rad
         Azimuth phi0 of the first triad. [rad]
 
@@ -62,14 +69,15 @@ def two_triads(azimuth_rad: float, cone_rad: float, first_azimuth_rad: float = 0
 
     References
     ----------
-    [Triads]: the unit is ``two_triads(0, arccos(1/sqrt 3), 15 deg)``. A triad that is not mirrored
-    but turned by 180 deg has the same axes up to sign, so this family holds both arrangements.
+    [Triads]: the unit is azimuth 0, cone arccos(1/sqrt 3), phi0 = 15 deg. A second cone that opens
+    upwards is, up to the sign of its axes, this one turned by 180 deg: both are in the family.
     """
+    second = cone_rad if second_cone_rad is None else second_cone_rad
     thirds = first_azimuth_rad + np.arange(3) * 2 * np.pi / 3
     halves: list[Floats] = []
-    for azimuth, height in ((thirds, 1.0), (thirds + azimuth_rad, -1.0)):
-        flat = np.sin(cone_rad) * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-        halves.append(np.column_stack([flat, np.full(3, height * np.cos(cone_rad))]))
+    for azimuth, cone, up in ((thirds, cone_rad, 1.0), (thirds + azimuth_rad, second, -1.0)):
+        flat = np.sin(cone) * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        halves.append(np.column_stack([flat, np.full(3, up * np.cos(cone))]))
     return np.concatenate(halves)
 
 
@@ -100,7 +108,8 @@ def _dodecahedron() -> Floats:
         [0.0, golden, 1.0],
         [0.0, golden, -1.0],
     ]
-    return np.divide(faces, np.hypot(1.0, golden))
+    unit: Floats = np.divide(faces, np.hypot(1.0, golden))
+    return unit
 
 
 # [Larin15], example; its minus signs are lost in print, these reproduce the paper's Table 2.
@@ -116,7 +125,7 @@ _PENTAGON = np.array(
 
 _FIXED = MappingProxyType(
     {
-        "mirrored-triads": two_triads(0.0, TRIAD_CONE_RAD, TRIAD_AZIMUTH_RAD),
+        "mirrored-triads": two_triads(0.0, TRIAD_CONE_RAD, first_azimuth_rad=TRIAD_AZIMUTH_RAD),
         "matasov": _matasov(),
         "pentagon": _PENTAGON,
         "dodecahedron": _dodecahedron(),
@@ -308,7 +317,7 @@ def leave_one_out(axes: ArrayLike, removed: Sequence[int] = ()) -> Floats:
 
 
 def _components(joined: NDArray[np.bool_]) -> list[tuple[int, ...]]:
-    """Connected components of a symmetric relation, each sorted, in the order of their first."""
+    """Find the connected components of a symmetric relation, in the order of their first."""
     unseen = list(range(len(joined)))
     found = []
     while unseen:
@@ -321,8 +330,14 @@ def _components(joined: NDArray[np.bool_]) -> list[tuple[int, ...]]:
     return found
 
 
-def _parity_cosines(axes: ArrayLike) -> Floats:
-    """|cos| between parity columns; 0 where a column is zero, and on the diagonal."""
+def parity_cosines(axes: ArrayLike) -> Floats:
+    """How alike two channels' faults look in the parity space.
+
+    Returns
+    -------
+    cosines : (n_channels, n_channels)
+        |cos| between parity columns; 0 where a column is zero, and on the diagonal. [1]
+    """
     projector = residual_projector(axes)
     length = np.sqrt(np.diag(projector).clip(min=0))
     length[length**2 <= RANK_TOLERANCE] = np.inf
@@ -350,7 +365,7 @@ def isolability_groups(
         Groups of two or more channels, each as large as it can be. A channel whose fault cannot
         even be detected (see `detectable`) is in none.
     """
-    cosines = np.minimum(_parity_cosines(axes), 1.0)
+    cosines = np.minimum(parity_cosines(axes), 1.0)
     sines = np.sqrt(1.0 - cosines**2)
     return [group for group in _components(sines <= tolerance) if len(group) > 1]
 
@@ -371,35 +386,7 @@ def blocks(axes: ArrayLike, tolerance: float = COLLINEAR_TOLERANCE) -> list[tupl
         Connected components of the relation G_ij != 0. Three aligned triads fall into
         (0, 3, 6), (1, 4, 7), (2, 5, 8). A channel that nothing checks is in none.
     """
-    return [block for block in _components(_parity_cosines(axes) > tolerance) if len(block) > 1]
-
-
-def covariance_trace(axes: ArrayLike) -> float:
-    """Trace of (H'H)^-1: the summed variance of the least-squares body rate per unit variance."""
-    singular_values = np.linalg.svd(checked_axes(axes), compute_uv=False)
-    return float(np.sum(singular_values**-2.0)) if _rank(singular_values) == 3 else np.inf
-
-
-def condition_number(axes: ArrayLike) -> float:
-    """Condition number of H in the 2-norm: 1 where every direction is measured equally well."""
-    singular_values = np.linalg.svd(checked_axes(axes), compute_uv=False)
-    return (
-        float(singular_values[0] / singular_values[-1]) if _rank(singular_values) == 3 else np.inf
-    )
-
-
-def smallest_minor(axes: ArrayLike) -> float:
-    """Smallest modulus of a 3x3 minor of H: how well the worst three gyros alone give the rate."""
-    array = checked_axes(axes)
-    if len(array) < 3:
-        return 0.0
-    triples = array[list(itertools.combinations(range(len(array)), 3))]
-    return float(np.abs(np.linalg.det(triples)).min())
-
-
-def largest_cosine(axes: ArrayLike) -> float:
-    """Largest |cos| between two parity columns: 1 where a fault cannot be pinned to one channel."""
-    return float(min(_parity_cosines(axes).max(), 1.0))
+    return [block for block in _components(parity_cosines(axes) > tolerance) if len(block) > 1]
 
 
 def minimal_detectable_fault(
