@@ -1,0 +1,307 @@
+"""Every setting, with its default and the reason for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fdilog.errors import UsageError, nearest
+
+
+def _key(default: Any, why: str) -> Any:
+    metadata = {"why": why}
+    if callable(default):
+        return field(default_factory=default, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """Where each gyro points."""
+
+    name: str = _key(
+        "",
+        "aligned-triads, mirrored-triads, matasov, pentagon, dodecahedron; empty: aligned-triads"
+        " for sources of three axes, since autopilots rotate every IMU into the body frame",
+    )
+    axes: tuple[tuple[float, float, float], ...] = _key(
+        (), "sensitivity axis [x, y, z] of each channel in column order, instead of a name"
+    )
+    mounting: dict[str, dict[str, tuple[float, ...]]] = _key(
+        dict, "mounting.imu1.quaternion = [w, x, y, z] (Hamilton, sensor to body) turns a source"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroSource:
+    """A gyro that the configuration names."""
+
+    name: str
+    topic: str
+    fields: tuple[str, ...]
+    unit: str = "rad/s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """Which streams are gyros."""
+
+    use: tuple[str, ...] = _key((), "names of the sources to use; empty: all that were found")
+    gyro: tuple[GyroSource, ...] = _key(
+        (),
+        "[[sources.gyro]] name, topic, fields, unit (rad/s, deg/s or mrad/s): a stream that no"
+        " schema marks as a gyro",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """How large an error is a failure."""
+
+    bias_deg_s: float = _key(
+        1.0,
+        "an autopilot's own check warns at a few deg/s; consumer gyros hold 0.3 deg/s in flight",
+    )
+    noise_factor: float = _key(3.0, "noise amplitude relative to the other gyros on the same axis")
+    scale: float = _key(0.05, "scale factor error; data sheets promise 1 to 3 %")
+    impulse_deg_s: float = _key(
+        20.0, "a single sample this far off; airframe vibration stays below"
+    )
+    dropout_s: float = _key(0.5, "one source silent for longer while others go on")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """What is known of the errors of healthy gyros."""
+
+    bound_deg_s: float = _key(0.0, "guaranteed bound of a healthy error; 0: estimated per channel")
+    bias_sigma_deg_s: float = _key(
+        1.0 / 3.0, "healthy biases; the tolerance is three sigma, as in [Triads]"
+    )
+    scale_sigma: float = _key(0.05 / 3.0, "healthy scale errors; three sigma are the tolerance")
+    time_sigma_s: float = _key(
+        0.002, "sampling instants of two sources that share a time stamp; one IMU loop is 2.5 ms"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowSettings:
+    """Over which stretches the readings are judged."""
+
+    lengths_s: tuple[float, ...] = _key(
+        (0.1, 1.0, 5.0, 10.0, 30.0),
+        "short ones see large faults at once, long ones small biases through the vibration",
+    )
+    overlap: float = _key(0.5, "part of a window that it shares with the next")
+    confidence: float = _key(0.999, "of every interval that is printed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorSettings:
+    """Which methods are asked."""
+
+    use: tuple[str, ...] = _key((), "names from `fdilog detectors`; empty: all that apply")
+    max_failures: int = _key(
+        2, "simultaneous failures considered, where the redundancy allows; more cannot be isolated"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """All settings; immutable, so that a result can be traced to it by its hash."""
+
+    geometry: Geometry = field(default_factory=Geometry)
+    sources: Sources = field(default_factory=Sources)
+    tolerance: Tolerance = field(default_factory=Tolerance)
+    noise: Noise = field(default_factory=Noise)
+    windows: WindowSettings = field(default_factory=WindowSettings)
+    detectors: DetectorSettings = field(default_factory=DetectorSettings)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of every setting, in a canonical order."""
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def replace(self, section: str, **values: Any) -> Config:
+        """Return a copy with some keys of one section changed."""
+        changed = dataclasses.replace(getattr(self, section), **values)
+        return dataclasses.replace(self, **{section: changed})
+
+
+def load_config(path: Path) -> Config:
+    """Read a TOML configuration.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read or parsed, or holds an unknown key or a value of a wrong type;
+        the text names the key and the nearest known one.
+    """
+    try:
+        with path.open("rb") as file:
+            data = tomllib.load(file)
+    except OSError as error:
+        raise UsageError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid TOML: {error}") from error
+    try:
+        return config_from_dict(data)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def config_from_dict(data: dict[str, Any]) -> Config:
+    """Make a Config from nested plain values, checking every key and type."""
+    return Config(**_section(Config, data, ""))
+
+
+def _section(kind: type, data: dict[str, Any], where: str) -> dict[str, Any]:
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    values: dict[str, Any] = {}
+    for key, value in data.items():
+        name = f"{where}{key}"
+        if key not in fields:
+            raise UsageError(f"unknown key '{name}'{nearest(key, list(fields))}")
+        values[key] = _value(name, value, kind, key)
+    return values
+
+
+_TABLES: dict[tuple[type, str], type] = {
+    (Config, "geometry"): Geometry,
+    (Config, "sources"): Sources,
+    (Config, "tolerance"): Tolerance,
+    (Config, "noise"): Noise,
+    (Config, "windows"): WindowSettings,
+    (Config, "detectors"): DetectorSettings,
+}
+_UNITS = ("rad/s", "deg/s", "mrad/s")
+# Keys for which zero has a meaning; every other number must be above zero.
+_ZERO_ALLOWED = {
+    "noise.bound_deg_s", "noise.bias_sigma_deg_s", "noise.scale_sigma", "noise.time_sigma_s",
+    "windows.overlap", "detectors.max_failures", "tolerance.scale",
+}  # fmt: skip
+_BELOW_ONE = {"windows.overlap", "windows.confidence"}
+
+
+def _value(name: str, value: Any, kind: type, key: str) -> Any:  # noqa: C901, PLR0911
+    if (kind, key) in _TABLES:
+        table = _TABLES[kind, key]
+        if not isinstance(value, dict):
+            raise UsageError(f"'{name}' must be a table")
+        return table(**_section(table, value, f"{name}."))
+    if name == "sources.gyro":
+        return tuple(_gyro_source(entry) for entry in _list(name, value))
+    if name == "geometry.mounting":
+        return _mountings(value)
+    if name == "geometry.axes":
+        return tuple(_vector(name, axis, 3) for axis in _list(name, value))
+    if name == "windows.lengths_s":
+        lengths = tuple(sorted(_number(name, length) for length in _list(name, value)))
+        if not lengths:
+            raise UsageError(f"'{name}' must name at least one length")
+        return lengths
+    if name in {"sources.use", "detectors.use"}:
+        return tuple(_text(name, entry) for entry in _list(name, value))
+    if name == "geometry.name":
+        return _text(name, value)
+    if name == "detectors.max_failures":
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise UsageError(f"'{name}' must be a whole number of at least 0, not {value!r}")
+        return value
+    return _number(name, value)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UsageError(f"'{name}' must be a number, not {value!r}")
+    number = float(value)
+    too_small = number < 0 if name in _ZERO_ALLOWED else number <= 0
+    too_large = number >= 1 if name in _BELOW_ONE else number == float("inf")
+    if too_small or too_large or number != number:  # noqa: PLR0124  NaN
+        raise UsageError(f"'{name}' = {value!r} is out of range")
+    return number
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise UsageError(f"'{name}' must be text, not {value!r}")
+    return value
+
+
+def _list(name: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise UsageError(f"'{name}' must be a list, not {value!r}")
+    return value
+
+
+def _vector(name: str, value: Any, length: int) -> Any:
+    numbers = tuple(
+        float(x) for x in _list(name, value) if isinstance(x, int | float) and abs(x) < float("inf")
+    )
+    if len(numbers) != length or len(value) != length or not any(numbers):
+        raise UsageError(f"'{name}' must hold {length} numbers, not all zero: {value!r}")
+    return numbers
+
+
+def _gyro_source(entry: Any) -> GyroSource:
+    if not isinstance(entry, dict):
+        raise UsageError("'sources.gyro' must be tables: [[sources.gyro]]")
+    known = [f.name for f in dataclasses.fields(GyroSource)]
+    for key in entry:
+        if key not in known:
+            raise UsageError(f"unknown key 'sources.gyro.{key}'{nearest(key, known)}")
+    for key in ("name", "topic", "fields"):
+        if key not in entry:
+            raise UsageError(f"'sources.gyro' lacks '{key}'")
+    unit = _text("sources.gyro.unit", entry.get("unit", "rad/s"))
+    if unit not in _UNITS:
+        raise UsageError(f"'sources.gyro.unit' = {unit!r}{nearest(unit, list(_UNITS))}")
+    return GyroSource(
+        name=_text("sources.gyro.name", entry["name"]),
+        topic=_text("sources.gyro.topic", entry["topic"]),
+        fields=tuple(
+            _text("sources.gyro.fields", f) for f in _list("sources.gyro.fields", entry["fields"])
+        ),
+        unit=unit,
+    )
+
+
+def _mountings(value: Any) -> dict[str, dict[str, tuple[float, ...]]]:
+    if not isinstance(value, dict):
+        raise UsageError("'geometry.mounting' must be a table of sources")
+    mountings: dict[str, dict[str, tuple[float, ...]]] = {}
+    for source, entry in value.items():
+        name = f"geometry.mounting.{source}"
+        for key in entry if isinstance(entry, dict) else ():
+            if key != "quaternion":
+                raise UsageError(f"unknown key '{name}.{key}'{nearest(key, ['quaternion'])}")
+        if not isinstance(entry, dict) or "quaternion" not in entry:
+            raise UsageError(f"'{name}' must hold quaternion = [w, x, y, z]")
+        mountings[source] = {"quaternion": _vector(f"{name}.quaternion", entry["quaternion"], 4)}
+    return mountings
+
+
+def default_toml() -> str:
+    """Return the default configuration as TOML, with a reason on every key."""
+    lines = ["# fdilog configuration: every key with its default; delete what you do not change."]
+    for section in dataclasses.fields(Config):
+        kind = _TABLES[Config, section.name]
+        lines += ["", f"[{section.name}]"]
+        for key in dataclasses.fields(kind):
+            lines.append(f"# {key.metadata['why']}")
+            default = getattr(kind(), key.name)
+            comment = "# " if default in ((), {}, "") else ""
+            lines.append(f"{comment}{key.name} = {_toml(default)}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return "{}" if value == {} else json.dumps(value)

@@ -1,0 +1,122 @@
+"""What detectors answer (Evidence) and what is concluded from it (Finding)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Kind = Literal[
+    "bias", "drift", "scale", "noise", "stuck", "dead", "saturated", "impulse", "dropout",
+    "mounting", "disagreement",
+]  # fmt: skip
+Status = Literal["failed", "suspect", "healthy", "undecided", "insufficient"]
+Verdict = Literal["failed", "healthy", "undecided", "insufficient"]
+
+SIZE_UNIT: dict[str, str] = {
+    "bias": "rad/s", "impulse": "rad/s", "drift": "rad/s^2",
+    "scale": "1", "noise": "1", "dropout": "s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Windows:
+    """Stretches of the table's samples, all of one nominal length or each of its own.
+
+    Parameters
+    ----------
+    length_s
+        Nominal length, or 0 where every window has its own. [s]
+    start, stop : (n_windows,) int64
+        First sample, and one past the last.
+    start_s, end_s : (n_windows,)
+        Flight time of the first and the last sample. [s]
+    """
+
+    length_s: float
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    start_s: NDArray[np.float64]
+    end_s: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """One detector's answer over some windows.
+
+    Parameters
+    ----------
+    kind
+        What it accuses a channel of.
+    tested : (n_windows, n_channels) bool
+        Whether the channel was compared with anything at all in that window.
+    low, high : (n_windows, n_channels)
+        Interval for the channel's size of that kind (for a bias: its error, reading minus true
+        rate); infinite where the data do not bound it, NaN where the detector only votes. [SI]
+    tolerance : (n_windows, n_channels)
+        What the interval is held against. [SI]
+    accused : (n_windows, n_channels) bool
+        The channels this detector names. Several in one window of one block of redundancy are
+        suspects that it cannot tell apart: one of them failed.
+    confidence
+        Of the interval; 1 for a guaranteed one.
+    """
+
+    detector: str
+    kind: Kind
+    windows: Windows
+    tested: NDArray[np.bool_]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    tolerance: NDArray[np.float64]
+    accused: NDArray[np.bool_]
+    confidence: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How large a fault is: estimate and interval, in the kind's unit."""
+
+    estimate: float
+    low: float
+    high: float
+    confidence: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """A closed interval; an infinite end is unbounded."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One fault: what, who, from when to when, how large, and who says so.
+
+    ``suspects`` holds one channel if the fault is isolated, several if the redundancy of the log
+    cannot tell them apart; it is never a guess. Times are seconds of flight time.
+    """
+
+    kind: Kind
+    suspects: tuple[str, ...]
+    start_s: float
+    end_s: float
+    size: Size | None = None
+    guaranteed: Interval | None = None
+    detectors: tuple[str, ...] = ()
+    dissent: tuple[str, ...] = ()
+    witness: str | None = None
+    detail: str = ""
+
+    @property
+    def isolated(self) -> bool:
+        """Whether a single channel is accused."""
+        return len(self.suspects) == 1

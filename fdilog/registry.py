@@ -1,0 +1,132 @@
+"""Finding readers, detectors and reports by entry point, our own exactly as a third party's."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from fdilog.errors import UnreadableLogError, UsageError, nearest
+
+if TYPE_CHECKING:
+    from fdilog.analysis import Analysis
+    from fdilog.finding import Evidence
+    from fdilog.recording import Recording
+    from fdilog.windows import Survey
+
+HEAD_BYTES = 4096
+
+
+class Reader(Protocol):
+    """A module that reads one log format; its entry-point name is the format's name."""
+
+    suffixes: tuple[str, ...]
+    description: str
+
+    def sniff(self, head: bytes) -> bool:
+        """Tell from the first bytes of a file whether this reader should have it."""
+
+    def read(self, path: Path, also: Collection[str] = ()) -> Recording:
+        """Read every gyro stream, and the streams named in ``also``, saving what can be saved.
+
+        Raises
+        ------
+        UnreadableLogError
+            Only if nothing can be saved; says at which byte and why.
+        """
+
+
+class Detector(Protocol):
+    """A frozen dataclass of settings; its entry-point name is the word in CLI and report."""
+
+    description: str
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Answer for every window of the survey that this method can say anything about."""
+
+
+class Report(Protocol):
+    """A module that turns an analysis into one text file."""
+
+    suffix: str
+
+    def render(self, analysis: Analysis) -> str:
+        """Return the whole file."""
+
+
+@cache
+def plugins(group: str) -> dict[str, Any]:
+    """Load every plug-in of ``fdilog.<group>``; one that will not import is a warning."""
+    loaded: dict[str, Any] = {}
+    for entry in sorted(entry_points(group=f"fdilog.{group}"), key=lambda e: e.name):
+        try:
+            loaded[entry.name] = entry.load()
+        except Exception as error:  # noqa: BLE001  a broken plug-in must not take the tool along
+            warnings.warn(
+                f"{group[:-1]} '{entry.name}' ({entry.value}) does not import: {error}",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+    return loaded
+
+
+def plugin(group: str, name: str) -> Any:
+    """Return one plug-in by name.
+
+    Raises
+    ------
+    UsageError
+        If there is none of that name.
+    """
+    known = plugins(group)
+    if name not in known:
+        raise UsageError(f"no {group[:-1]} named '{name}'{nearest(name, list(known))}")
+    return known[name]
+
+
+def detectors(names: Collection[str]) -> Iterator[tuple[str, Detector]]:
+    """Make the named detectors with their default settings, in the order given."""
+    for name in names:
+        yield name, plugin("detectors", name)()
+
+
+def read(path: str | Path, also: Collection[str] = ()) -> Recording:
+    """Read a log of any known format.
+
+    The first bytes decide; a suffix only where no reader knows the bytes.
+
+    Raises
+    ------
+    UnreadableLogError
+        If nothing can be read, with the path, the place and the reason.
+    """
+    path = Path(path)
+    head = _head(path)
+    readers = plugins("readers")
+    name = next((n for n, reader in readers.items() if reader.sniff(head)), None)
+    if name is None:
+        suffix = path.suffix.lower()
+        name = next((n for n, reader in readers.items() if suffix in reader.suffixes), None)
+    if name is None:
+        raise UnreadableLogError(
+            f"{path}: not a log of any format that is installed ({', '.join(readers)});"
+            f" it begins with {head[:8]!r}"
+        )
+    recording: Recording = readers[name].read(path, also)
+    return recording
+
+
+def _head(path: Path) -> bytes:
+    try:
+        if path.is_dir():
+            raise UnreadableLogError(f"{path}: is a directory, not a log; name the file in it")
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise UnreadableLogError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    if not head:
+        raise UnreadableLogError(f"{path}: the file is empty")
+    return head
