@@ -204,6 +204,30 @@ def checked_axes(axes: ArrayLike) -> Floats:
     return array
 
 
+def checked_readings(readings: ArrayLike, axes: ArrayLike) -> tuple[Floats, Floats]:
+    """Check readings and axes against each other; give both as float arrays.
+
+    Returns
+    -------
+    readings : (n_samples, n_channels)
+        Readings z. [as given]
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit one another.
+    """
+    directions = checked_axes(axes)
+    samples = np.asarray(readings, dtype=np.float64)
+    if samples.ndim != 2 or samples.shape[1] != len(directions):
+        raise ValueError(
+            f"readings must have the shape (samples, {len(directions)}), not {samples.shape}"
+        )
+    return samples, directions
+
+
 def _rank(singular_values: NDArray[np.floating[Any]]) -> int:
     return int(np.count_nonzero(singular_values > RANK_TOLERANCE * singular_values.max(initial=0)))
 

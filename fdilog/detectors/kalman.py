@@ -1,0 +1,125 @@
+"""Sequential innovations under cyclic permutation: the failed channel is the one that comes last.
+
+References
+----------
+[Larin15] V. B. Larin, "Identification of faults of navigation sensors", International Applied
+    Mechanics 51(6), 2015, 112-118: Kalman filter with cyclic permutation, Table 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fdilog.detectors.vote import named_channel
+from fdilog.geometry import RANK_TOLERANCE, Floats, checked_axes, checked_readings
+
+
+def innovation_rows(axes: ArrayLike) -> Floats:
+    """Rows that turn readings into normalised innovations, for every cyclic shift of the channels.
+
+    The filter for a constant body rate is recursive least squares, and its gains do not depend on
+    the readings, so it is run once on coefficients: ``x = X z``.
+
+    Parameters
+    ----------
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+
+    Returns
+    -------
+    rows : (n_shifts, n_channels - 3, n_channels)
+        ``rows[r, s] @ z = v / sqrt(S)`` for unit noise, after the last channel has been put first
+        r times; not-a-number for a shift whose first three channels do not span space. [1]
+
+    References
+    ----------
+    [Larin15]: start x = H_3^-1 z_3, P = (H_3' H_3)^-1 s^2; then innovation v and its variance S.
+    """
+    directions = checked_axes(axes)
+    n = len(directions)
+    rows = np.full((n, max(n - 3, 0), n), np.nan)
+    for shift in range(n):
+        order = np.roll(np.arange(n), shift)
+        start = directions[order[:3]]
+        if len(start) < 3 or np.linalg.svd(start, compute_uv=False)[-1] < RANK_TOLERANCE:
+            continue
+        state = np.zeros((3, n))
+        state[:, order[:3]] = np.linalg.inv(start)
+        covariance = np.linalg.inv(start.T @ start)
+        for step, channel in enumerate(order[3:]):
+            axis = directions[channel]
+            innovation = -axis @ state
+            innovation[channel] += 1.0
+            variance = axis @ covariance @ axis + 1.0
+            gain = covariance @ axis / variance
+            state += np.outer(gain, innovation)
+            covariance -= np.outer(gain, axis @ covariance)
+            rows[shift, step] = innovation / np.sqrt(variance)
+    return rows
+
+
+def kalman_search(
+    readings: ArrayLike, axes: ArrayLike, sigma: float
+) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Ratio of the last innovation to the one before, for every cyclic shift.
+
+    Parameters
+    ----------
+    readings : (n_samples, n_channels)
+        Readings z of five channels or more. [any rate]
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+    sigma
+        Standard deviation s of the noise; it cancels in the ratio. [the rate]
+
+    Returns
+    -------
+    k : (n_samples, n_shifts, n_channels - 3)
+        Squared normalised innovations ``k_s = v^2 / S``, chi-square with one degree of freedom
+        each if all channels are healthy. [1]
+    ratio : (n_samples, n_shifts)
+        ``beta_r``, the last k_s over the one before it, after shift r. [1]
+    candidate : (n_samples,)
+        Channel ``n - r*`` with r* the shift of the largest ratio, counted from 0 here; -1 where
+        there is none.
+
+    Raises
+    ------
+    ValueError
+        With fewer than five channels, where there is no innovation before the last.
+
+    References
+    ----------
+    [Larin15] beta_r and the rule i = n - r* (channels counted from 1), Table 1.
+    """
+    samples, directions = checked_readings(readings, axes)
+    n = len(directions)
+    if n < 5:
+        raise ValueError(f"the permuted filter needs five channels or more, not {n}")
+    k: Floats = np.einsum("rsj,tj->trs", innovation_rows(directions) / sigma, samples) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: Floats = k[:, :, -1] / k[:, :, -2]
+    shift = named_channel(ratio, largest=True)
+    return k, ratio, np.where(shift < 0, -1, n - 1 - shift)
+
+
+def total_chi_square(k: Floats) -> Floats:
+    """Sum of the squared innovations of one pass: has any channel failed at all?
+
+    Parameters
+    ----------
+    k : (n_samples, n_shifts, n_channels - 3)
+        Squared normalised innovations of `kalman_search`. [1]
+
+    Returns
+    -------
+    total : (n_samples,)
+        Chi-square with n - 3 degrees of freedom if all are healthy. It is |p|^2 / s^2, the same
+        after any shift, so the first shift that could be started gives it. [1]
+    """
+    startable = np.flatnonzero(~np.isnan(k).all(axis=(0, 2)))
+    if not len(startable):
+        return np.full(len(k), np.nan)
+    total: Floats = k[:, startable[0]].sum(axis=1)
+    return total
