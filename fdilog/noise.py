@@ -9,10 +9,12 @@ in the window, since the mean takes frequency zero away; its neighbours can. The
    looks at the spectrum next to zero [Lazarus18]. J is n - 1 or `MAX_COSINES`.
 2. Compare with a fixed family of spectral shapes (`_shapes`): flat, low-pass of every corner and
    strength, rising. Given a shape, ``Q = sum Y_j^2 / S_j`` over S(0) is chi-square with J degrees
-   of freedom, and the likelihood of the shape is ``prod S_j^-1/2 Q^-J/2`` [Bayarri02].
-3. Average log S(0) over the shapes by their posterior weights. Half of the prior weight is on the
-   flat one. The mean and the variance of log S(0) are those of a scaled inverse chi-square, whose
-   degrees of freedom say how well S(0) is known [Satterthwaite46].
+   of freedom, and the likelihood of the shape is ``prod S_j^-1/2 Q^-J/2`` (scale integrated out).
+3. Average log S(0) over the shapes by their posterior weights. The flat one has the prior weight
+   `WHITE_PRIOR`, the others share the rest evenly. The mean and variance of log S(0) are matched
+   by a scaled inverse chi-square, whose degrees of freedom say how well S(0) is known (the idea of
+   [Satterthwaite46], for logarithms). Tests by weighted averages over kinds of autocorrelation are
+   due to [Muller14].
 
 Several series are first turned into components that are uncorrelated with one another over the
 whole band and next to frequency zero (simultaneous diagonalisation), so that the covariance of any
@@ -51,12 +53,14 @@ MAX_COSINES = 128
 """Cosines looked at: 128 degrees of freedom are as good as infinitely many (the 99.9 % quantile is
 2.5 % above the normal one), and everything faster than 64 periods a window is left out of it."""
 
-WHITE_PRIOR = 0.5
-"""Prior weight of the flat shape, and of one common shape: even odds, no preference."""
+WHITE_PRIOR = 0.6
+"""Prior weight of the flat shape, a compromise that was counted: with 0.5 the 95 % interval of 25
+white samples covers 97.1 %, with 2/3 the 99.9 % interval of 125 samples of autoregressive (0.9)
+plus white noise misses 0.35 %; in between, 96.8 % and 0.28 %."""
 
 MIN_CORRELATION_TIMES = 6.0
-"""Windows are taken to last this many correlation times at least. Shorter than that, a mean cannot
-be told from a slow wander by any method; the interval does not cover it."""
+"""Windows are taken to last this many correlation times at least. In less, nothing tells the mean
+from a slow wander, and the interval does not cover."""
 
 FLOOR_RATIOS = (10.0, 30.0, 100.0, 1e4)
 """Density of the low-pass part at zero over that of the white part; 1e4 is no white part at all."""
@@ -180,21 +184,23 @@ def _long_run(looks: Floats, n: int) -> tuple[Floats, Floats]:
     """Long-run covariance (w, q, q) and its degrees of freedom from the cosines (w, q, J)."""
     to_components, back = _components(looks)
     z = to_components @ looks
-    inverse, log_det, prior = _shapes(n, z.shape[2])
-    alive: NDArray[np.bool_] = np.square(z).sum(axis=2) > 0.0
-    # Rows of J looks against all shapes at once: Q of every component under every shape
-    q_sum = (np.square(z) @ inverse.T)[alive]
     j = z.shape[2]
-    log_like = np.zeros((*alive.shape, len(prior)))
-    log_s0 = np.zeros_like(log_like)
-    log_s0[alive] = np.log(q_sum / j)
-    log_like[alive] = -0.5 * log_det - 0.5 * j * log_s0[alive]
-    log_like[2 * alive.sum(axis=1) > j] = 0.0  # too few looks to tell shapes: the prior stands
+    inverse, log_det, prior = _shapes(n, j)
+    power = np.square(z)
+    alive: NDArray[np.bool_] = power.sum(axis=2) > 0.5 * j
+    # One product for Q of every component under every shape; a component that is dead says nothing.
+    log_s0 = power @ inverse.T
+    log_s0 /= j
+    log_s0[~alive] = 1.0
+    np.log(log_s0, out=log_s0)
+    tells = alive & (2 * alive.sum(axis=1, keepdims=True) <= j)  # else the prior stands
+    log_like = np.where(tells[:, :, None], -0.5 * (log_det + j * log_s0), 0.0)
     weight = _posterior(log_like, alive, prior, j)
 
     shift, spread = _log_chi_square(np.asarray(float(j)))
-    log_mean = (weight * log_s0).sum(axis=2)
-    log_var = (weight * np.square(log_s0 - log_mean[:, :, None])).sum(axis=2) + spread
+    log_mean = np.einsum("wqs,wqs->wq", weight, log_s0)
+    log_s0 -= log_mean[:, :, None]
+    log_var = np.einsum("wqs,wqs,wqs->wq", weight, log_s0, log_s0) + spread
     dof, own_shift = _inverse_chi_square(log_var)
     scale = np.exp(log_mean - shift + own_shift)
 
@@ -218,16 +224,14 @@ def _components(looks: Floats) -> tuple[Floats, Floats]:
     if q == 1:
         return unit[:, :, None], rms[:, :, None]
     scaled = looks * unit[:, :, None]
-    power, axes = np.linalg.eigh(scaled @ np.swapaxes(scaled, 1, 2) / j)
-    kept = power > RANK_TOLERANCE * q
-    root = np.sqrt(np.where(kept, power, 1.0))
-    whiten = np.where(kept, 1.0 / root, 0.0)[:, :, None] * np.swapaxes(axes, 1, 2)
-    colour = axes * np.where(kept, root, 0.0)[:, None, :]
+    # The ridge lets dependent series through: what it alone holds up has no power once whitened.
+    factor = np.linalg.cholesky(scaled @ np.swapaxes(scaled, 1, 2) / j + RANK_TOLERANCE * np.eye(q))
+    whiten = np.linalg.inv(factor)
     white = whiten @ scaled
     low = 1.0 / (1.0 + np.square(np.arange(1, j + 1) / (LOW_BAND * j)))
     turn = np.linalg.eigh((white * low) @ np.swapaxes(white, 1, 2))[1]
     to_components = (np.swapaxes(turn, 1, 2) @ whiten) * unit[:, None, :]
-    return to_components, np.asarray(rms[:, :, None] * (colour @ turn))
+    return to_components, np.asarray(rms[:, :, None] * (factor @ turn))
 
 
 def _posterior(log_like: Floats, alive: NDArray[np.bool_], prior: Floats, n_cosines: int) -> Floats:
