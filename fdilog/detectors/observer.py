@@ -128,8 +128,8 @@ def design_observer(
     )
 
 
-def _held(dynamics: Floats, inputs: Floats, step_s: float) -> tuple[Floats, Floats]:
-    """Exact step of x' = A x + B u with u held over the step."""
+def held_step(dynamics: Floats, inputs: Floats, step_s: float) -> tuple[Floats, Floats]:
+    """Discretise x' = A x + B u exactly, with u held over each step: F (n, n) and g (n, m)."""
     from scipy.linalg import expm
 
     n, m = inputs.shape
@@ -214,7 +214,7 @@ def observer_residual(
         raise ValueError("an observer cannot cross a gap: split the record at values not finite")
     if not len(y):
         return y
-    step, held = _held(a - k @ c, np.hstack([b, k]), step_s)
+    step, held = held_step(a - k @ c, np.hstack([b, k]), step_s)
     drive = np.hstack([u, y])[:-1] @ held.T
     estimate = propagate(step, drive, np.linalg.pinv(c) @ y[0])
     residual: Floats = y - estimate @ c.T

@@ -1,0 +1,72 @@
+"""One line of a comparison with a paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A figure as printed and as computed.
+
+    Parameters
+    ----------
+    table
+        Where it is printed.
+    quantity
+        What it is.
+    printed
+        The printed value; None where the paper gives none.
+    ours
+        What this program computes.
+    agrees
+        Whether the two agree within what the comparison allows, which `note` says; None where
+        there is nothing to agree with.
+    note
+        What is compared and how closely.
+    """
+
+    table: str
+    quantity: str
+    printed: float | str | None
+    ours: float | str
+    agrees: bool | None
+    note: str = ""
+
+    @property
+    def difference(self) -> float | None:
+        """Computed less printed; None where one of them is no number."""
+        if isinstance(self.printed, str | None) or isinstance(self.ours, str):
+            return None
+        return self.ours - self.printed
+
+
+def rounded(table: str, quantity: str, *, printed: float, ours: float, places: int) -> Row:
+    """Compare a figure that should come out as printed, to half a unit of its last place."""
+    # The second term lets a tie of decimal rounding, such as 0.00005, fall either way.
+    allowed = 0.5 * 10.0**-places * (1.0 + 1e-6)
+    return Row(
+        table=table,
+        quantity=quantity,
+        printed=printed,
+        ours=ours,
+        agrees=abs(ours - printed) <= allowed,
+        note=f"to {places} decimals",
+    )
+
+
+def counted(table: str, quantity: str, *, printed: float, ours: float, trials: int) -> Row:
+    """Compare a share that the paper counted in a number of random trials.
+
+    It agrees if the printed share lies in the central 95 % of what that number of trials gives
+    when ours is the true one (normal approximation of the binomial).
+    """
+    half_width = 1.96 * (ours * (1.0 - ours) / trials) ** 0.5
+    return Row(
+        table=table,
+        quantity=quantity,
+        printed=printed,
+        ours=ours,
+        agrees=abs(ours - printed) <= half_width,
+        note=f"95 % of {trials} trials: within {half_width:.4f}",
+    )
