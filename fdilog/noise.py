@@ -58,9 +58,13 @@ WHITE_PRIOR = 0.6
 white samples covers 97.1 %, with 2/3 the 99.9 % interval of 125 samples of autoregressive (0.9)
 plus white noise misses 0.35 %; in between, 96.8 % and 0.28 %."""
 
-MIN_CORRELATION_TIMES = 6.0
-"""Windows are taken to last this many correlation times at least. In less, nothing tells the mean
-from a slow wander, and the interval does not cover."""
+MIN_CORRELATION_TIMES = 1.5
+"""Lowest corner of the low-pass shapes: correlation times a window holds. In less, nothing tells
+the mean from a slow wander, and no interval covers."""
+
+MIN_FLOORED_TIMES = 6.0
+"""Below so many correlation times, a low-pass shape is taken without white noise beside it: with
+it, its few large cosines look like white noise, and white windows would pay for the doubt."""
 
 FLOOR_RATIOS = (10.0, 30.0, 100.0, 1e4)
 """Density of the low-pass part at zero over that of the white part; 1e4 is no white part at all."""
@@ -73,6 +77,9 @@ SHAPE_GRID = 256
 
 LOW_BAND = 0.2
 """Half-power point, over J, of the low-pass weight that picks the components' axes."""
+
+ROUNDING = 1e-12
+"""Cosines below this part of the mean are rounding: far above 1e-16, far below any gyro's noise."""
 
 RANK_TOLERANCE = 1e-10
 """Relative variance below which a component is rounding, not noise."""
@@ -175,7 +182,9 @@ def _block(x: Floats) -> tuple[Floats, Floats, Floats]:
             return mean, np.zeros((n_windows, q, q)), np.zeros(n_windows)
         cosines = _cosines(n, min(n - 1, MAX_COSINES))
         looks = np.moveaxis((cosines @ by_sample).reshape(-1, n_windows, q), 0, 2)
-    looks = np.where(finite[:, None, None], looks, 0.0)
+    # A series that does not move leaves rounding alone in its cosines.
+    moves = np.abs(looks).max(axis=2) > ROUNDING * np.abs(mean)
+    looks = np.where((moves & finite[:, None])[:, :, None], looks, 0.0)
     long_run, dof = _long_run(looks, n)
     return mean, long_run / n, np.where(finite, dof, 0.0)
 
@@ -279,7 +288,7 @@ def _shapes(n: int, count: int) -> tuple[Floats, Floats, Floats]:
     while corner <= min(m, 2 * count):
         rho = np.exp(-corner / m)
         low_pass = np.sum((looks @ rho**lag) * looks, axis=1) * (1.0 - rho) / (1.0 + rho)
-        for ratio in FLOOR_RATIOS:
+        for ratio in FLOOR_RATIOS if corner >= MIN_FLOORED_TIMES - 1e-9 else FLOOR_RATIOS[-1:]:
             spectrum = ratio * low_pass + 1.0
             shapes.append(spectrum[1:] / spectrum[0])
         corner *= np.sqrt(2.0)
