@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
-from fdilog.config import Config
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.calibration import Calibration, calibrate
+from fdilog.config import Config, load_config
+from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
-from fdilog.recording import Problem
+from fdilog.recording import Problem, Recording
+from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
 
 SCHEMA = "fdilog/1"
@@ -37,19 +46,6 @@ class Completeness:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SourceInfo:
-    """A stream that could have been used as a gyro, and why it was or was not."""
-
-    name: str
-    topic: str
-    used: bool
-    reason: str
-    rate_hz: float
-    samples: int
-    derived: bool
-
-
-@dataclass(frozen=True, kw_only=True)
 class ClockOffset:
     """By how much a source's stamps run late against the reference source. [s]"""
 
@@ -57,17 +53,6 @@ class ClockOffset:
     offset_s: float
     low: float
     high: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Calibration:
-    """Constant differences of a source from the reference source."""
-
-    source: str
-    rotation_deg: tuple[float, float, float]
-    scale: tuple[float, float, float]
-    bias_rad_s: tuple[float, float, float]
-    note: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,3 +107,258 @@ class Analysis:
         text: str = plugin("reports", name).render(self)
         return text
 
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Which part of a flight to look at; times are seconds of flight time."""
+
+    start_s: float = -np.inf
+    end_s: float = np.inf
+    armed: bool = False
+
+
+def analyse(
+    path: str | Path,
+    config: Config | str | Path | None = None,
+    *,
+    part: Part | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Analysis:
+    """Analyse one log: which gyro failed, when, by how much, and how sure that is.
+
+    Parameters
+    ----------
+    config
+        Settings, or the path of a TOML file that holds them.
+    part
+        Which part of the flight; all of it by default.
+    progress
+        Called with the name of each step as it begins.
+
+    Raises
+    ------
+    UnreadableLogError
+        If nothing can be read from the log.
+    NoGyroError
+        If it holds no gyro, or none in the part asked for.
+    UsageError
+        If the configuration does not fit the log.
+    """
+    from fdilog.registry import read
+
+    settings = config if isinstance(config, Config) else Config()
+    if isinstance(config, str | Path):
+        settings = load_config(Path(config))
+    say = progress or (lambda _: None)
+    say("reading")
+    recording = read(path, [source.topic for source in settings.sources.gyro])
+    return analyse_recording(
+        recording, settings, sha256=_sha256(Path(path)), part=part, progress=say
+    )
+
+
+def analyse_recording(
+    recording: Recording,
+    config: Config,
+    *,
+    sha256: str = "",
+    part: Part | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Analysis:
+    """Analyse what a reader found; see `analyse`."""
+    progress("choosing gyros")
+    assembly = assemble(recording, config)
+    table = _part_of(assembly, recording, part or Part())
+    judged = judge(table, config, progress)
+    completeness = _completeness(recording, assembly)
+    return Analysis(
+        log=_log_info(recording, assembly, sha256),
+        completeness=completeness,
+        sources=assembly.sources,
+        table=table,
+        status=judged.status,
+        sigma_rad_s=tuple(_sigma(table, channel) for channel in range(len(table.channels))),
+        clocks=(),
+        calibration=judged.calibration,
+        isolability=_isolability(table),
+        verdict=_verdict(judged.status, whole=completeness.whole),
+        findings=judged.findings,
+        evidence=judged.evidence,
+        config=config,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """What is concluded from a table alone."""
+
+    findings: tuple[Finding, ...]
+    status: tuple[Status, ...]
+    evidence: tuple[Evidence, ...]
+    calibration: tuple[Calibration, ...]
+
+
+def judge(
+    table: ChannelTable,
+    config: Config,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Judgement:
+    """Run the detectors on a table and decide.
+
+    Detectors that judge each channel by itself go first. What they accuse is kept out of the
+    comparisons, so that one fault gives one finding and drags no other channel along.
+    """
+    from fdilog import decision
+    from fdilog.registry import detectors, plugins
+    from fdilog.windows import Survey, cut, spans
+
+    names = config.detectors.use or _default_order(plugins("detectors"))
+    chosen = list(detectors(names))
+    whole = Survey(
+        table=table,
+        windows=spans(table, np.array([0]), np.array([len(table.time_s)])),
+        config=config,
+    )
+    alone: list[Evidence] = []
+    for name, detector in chosen:
+        if detector.alone:
+            progress(name)
+            alone.extend(detector.detect(whole))
+    heard = without(table, alone)
+    sound, calibration = calibrate(heard, config)
+    compared: list[Evidence] = []
+    for windows in cut(sound, config):
+        survey = Survey(table=sound, windows=windows, config=config)
+        for name, detector in chosen:
+            if not detector.alone:
+                progress(f"{name}, {windows.length_s:g} s windows")
+                compared.extend(detector.detect(survey))
+    findings = [
+        *decision.self_evident_findings(table, alone),
+        *decision.bias_findings(heard, sound, compared, config),
+    ]
+    findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
+    return Judgement(
+        findings=tuple(findings),
+        status=decision.channel_status(sound, compared, findings),
+        evidence=(*alone, *compared),
+        calibration=calibration,
+    )
+
+
+def _default_order(known: dict[str, object]) -> list[str]:
+    """Order every installed detector: parity leads, it names suspects only when it must."""
+    return sorted(known, key=lambda name: (name != "parity", name))
+
+
+def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
+    """Return the table with the readings that a channel's own evidence accuses marked invalid."""
+    if not evidence:
+        return table
+    valid = table.valid.copy()
+    for item in evidence:
+        for start, stop, accused in zip(
+            item.windows.start, item.windows.stop, item.accused, strict=True
+        ):
+            valid[start:stop, accused > 0] = False
+    return ChannelTable(
+        time_s=table.time_s,
+        rate_rad_s=np.where(valid, table.rate_rad_s, np.nan),
+        valid=valid,
+        channels=table.channels,
+        period_s=table.period_s,
+    )
+
+
+def _part_of(assembly: Assembly, recording: Recording, part: Part) -> ChannelTable:
+    table = assembly.table
+    keep = (table.time_s >= part.start_s) & (table.time_s <= part.end_s)
+    if part.armed:
+        if recording.armed is None:
+            raise UsageError(f"{recording.path}: the log does not say when it was armed")
+        keep &= _armed(table.time_s, assembly.zero_ns, recording.armed)
+    if bool(keep.all()):
+        return table
+    if not bool(keep.any()):
+        raise NoGyroError(
+            f"{recording.path}: no gyro samples in the part asked for;"
+            f" the log holds 0 to {table.duration_s:.3f} s"
+        )
+    return table.only(keep)
+
+
+def _armed(
+    time_s: NDArray[np.float64], zero_ns: int, spans_ns: Sequence[tuple[int, int]]
+) -> NDArray[np.bool_]:
+    armed = np.zeros(len(time_s), bool)
+    for start, end in spans_ns:
+        armed |= (time_s >= (start - zero_ns) / 1e9) & (time_s <= (end - zero_ns) / 1e9)
+    return armed
+
+
+def _completeness(recording: Recording, assembly: Assembly) -> Completeness:
+    problems = (*recording.problems, *assembly.problems)
+    losses = [problem for problem in problems if not problem.note]
+    return Completeness(
+        whole=not losses,
+        bytes_lost=sum(problem.bytes_lost or 0 for problem in losses),
+        seconds_lost=float(sum(problem.seconds_lost or 0.0 for problem in losses)),
+        problems=problems,
+    )
+
+
+def _log_info(recording: Recording, assembly: Assembly, sha256: str) -> LogInfo:
+    start_utc = None
+    if recording.utc_at_zero_ns is not None:
+        seconds = (recording.utc_at_zero_ns + assembly.zero_ns) / 1e9
+        try:
+            moment = datetime.fromtimestamp(seconds, UTC)
+            start_utc = moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        except (OverflowError, ValueError, OSError):
+            start_utc = None  # a stamp beyond any calendar is no date
+    return LogInfo(
+        path=recording.path,
+        format=recording.format,
+        bytes=recording.bytes,
+        sha256=sha256,
+        start_utc=start_utc,
+        duration_s=assembly.table.duration_s,
+        vehicle=dict(recording.vehicle) if recording.vehicle else None,
+    )
+
+
+def _isolability(table: ChannelTable) -> Isolability:
+    from fdilog.geometry import detectable, isolability_groups
+
+    names = table.names
+    compared = detectable(table.axes)
+    return Isolability(
+        detectable=tuple(name for name, can in zip(names, compared, strict=True) if can),
+        groups=tuple(
+            tuple(names[channel] for channel in group) for group in isolability_groups(table.axes)
+        ),
+    )
+
+
+def _verdict(status: Sequence[Status], *, whole: bool) -> Verdict:
+    from fdilog.decision import conclude
+
+    return conclude(status, whole=whole)
+
+
+def _sigma(table: ChannelTable, channel: int) -> float:
+    """Noise of one channel: robust sigma of its steps, as white noise would give them. [rad/s]"""
+    from fdilog.noise import robust_sigma
+
+    readings = table.rate_rad_s[table.valid[:, channel], channel]
+    if len(readings) < 3:
+        return float("nan")
+    return float(robust_sigma(np.diff(readings)) / np.sqrt(2.0))
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""  # a directory of files, or a stream: there is no one content to hash

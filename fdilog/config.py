@@ -94,11 +94,14 @@ class WindowSettings:
     """Over which stretches the readings are judged."""
 
     lengths_s: tuple[float, ...] = _key(
-        (0.1, 1.0, 5.0, 10.0, 30.0),
+        (0.1, 1.0, 5.0, 10.0, 20.0, 60.0),
         "short ones see large faults at once, long ones small biases through the vibration",
     )
     overlap: float = _key(0.5, "part of a window that it shares with the next")
     confidence: float = _key(0.999, "of every interval that is printed")
+    false_findings_per_hour: float = _key(
+        0.01, "budget over all windows, lengths and channels: one false finding in 100 flight hours"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

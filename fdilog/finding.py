@@ -60,9 +60,10 @@ class Evidence:
         rate); infinite where the data do not bound it, NaN where the detector only votes. [SI]
     tolerance : (n_windows, n_channels)
         What the interval is held against. [SI]
-    accused : (n_windows, n_channels) bool
-        The channels this detector names. Several in one window of one block of redundancy are
-        suspects that it cannot tell apart: one of them failed.
+    accused : (n_windows, n_channels) int8
+        0 where the detector accuses nobody. Channels that carry the same number in one window are
+        suspects of one and the same fault, which it cannot tell apart; a number that only one
+        channel carries isolates it.
     confidence
         Of the interval; 1 for a guaranteed one.
     """
@@ -74,7 +75,7 @@ class Evidence:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     tolerance: NDArray[np.float64]
-    accused: NDArray[np.bool_]
+    accused: NDArray[np.int8]
     confidence: float
 
 

@@ -49,6 +49,9 @@ class Stream:
     gyro, accelerometer
         The columns that are body angular rates (x, y, z, or any number of single-axis gyros), and
         the accelerations of the same physical device.
+    channel_names
+        Names of the gyro channels where the log itself names them (a table of one's own); else
+        empty, and they are called ``imu0.x``, ``imu0.y`` ...
     sensor
         Number of the physical device where the format numbers them, else None.
     origin
@@ -65,6 +68,7 @@ class Stream:
     clock: str = ""
     gyro: tuple[str, ...] = ()
     accelerometer: tuple[str, ...] = ()
+    channel_names: tuple[str, ...] = ()
     sensor: int | None = None
     origin: Origin = "sensor"
     offsets: NDArray[np.int64] | None = None

@@ -43,6 +43,7 @@ class Detector(Protocol):
     """A frozen dataclass of settings; its entry-point name is the word in CLI and report."""
 
     description: str
+    alone: bool  # judges each channel by itself; asked before those that compare
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Answer for every window of the survey that this method can say anything about."""

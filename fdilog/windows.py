@@ -1,12 +1,119 @@
-"""Cutting a table into windows; what detectors share about each window."""
+"""Cutting a table into windows, and what every comparison needs to know of each."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.clocks import hole_threshold_s
 from fdilog.config import Config
 from fdilog.finding import Windows
+from fdilog.noise import WindowedMean, windowed_mean
 from fdilog.table import ChannelTable
+
+Floats = NDArray[np.float64]
+
+# A channel takes part in a window if it holds at least half of the readings its rate promises;
+# below that the mean over what is left may belong to another time than that of the others.
+FEWEST_PRESENT = 0.5
+
+
+def stretches(table: ChannelTable, config: Config) -> list[tuple[int, int]]:
+    """Split the table at its holes: (first sample, one past the last) of each part."""
+    limit = hole_threshold_s(table.period_s, config.tolerance.dropout_s)
+    breaks = np.flatnonzero(np.diff(table.time_s) > limit) + 1
+    edges = [0, *breaks.tolist(), len(table.time_s)]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def cut(table: ChannelTable, config: Config) -> list[Windows]:
+    """Cut a table into windows of every configured length; none bridges a hole.
+
+    Windows of one length advance by ``1 - overlap`` of it; the last one ends with its stretch. A
+    stretch that is too short for a length, but longer than the next shorter one, is one window.
+    """
+    lengths = sorted(config.windows.lengths_s)
+    sizes = [max(1, round(length / table.period_s)) if table.period_s else 1 for length in lengths]
+    parts = stretches(table, config)
+    family = []
+    shorter = 0
+    for length, size in zip(lengths, sizes, strict=True):
+        if size == shorter:
+            continue  # at this rate it holds the same samples as the length before
+        stride = max(1, round(size * (1.0 - config.windows.overlap)))
+        starts: list[NDArray[np.int64]] = []
+        stops: list[NDArray[np.int64]] = []
+        for a, b in parts:
+            if b - a >= size:
+                first = np.arange(a, b - size + 1, stride)
+                if first[-1] + size < b:
+                    first = np.append(first, b - size)
+                starts.append(first)
+                stops.append(first + size)
+            elif b - a > shorter:
+                starts.append(np.array([a]))
+                stops.append(np.array([b]))
+        shorter = size
+        if starts:
+            family.append(spans(table, np.concatenate(starts), np.concatenate(stops), length))
+    return family
+
+
+def spans(
+    table: ChannelTable, start: NDArray[np.int64], stop: NDArray[np.int64], length_s: float = 0.0
+) -> Windows:
+    """Make windows of given sample ranges."""
+    return Windows(
+        length_s=length_s,
+        start=start,
+        stop=stop,
+        start_s=table.time_s[start],
+        end_s=table.time_s[stop - 1],
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moments:
+    """Means over windows in which the same channels were recorded.
+
+    Parameters
+    ----------
+    windows : (n,) int64
+        Which of the survey's windows.
+    channels
+        Columns of the table that are compared here: members of one block of redundancy.
+    mean : (n, k)
+        Mean reading of each channel. [rad/s]
+    slope : (n, k)
+        Mean rate of change of each reading. [rad/s^2]
+    parity : (q, k)
+        Parity matrix V of these channels. [1]
+    parity_mean
+        Mean parity vector p, (n, q), with its covariance and degrees of freedom. [rad/s]
+    """
+
+    windows: NDArray[np.int64]
+    channels: tuple[int, ...]
+    mean: Floats
+    slope: Floats
+    parity: Floats
+    parity_mean: WindowedMean
+
+    def at(self, rows: NDArray[np.int64]) -> Moments:
+        """Return the moments of some of these windows."""
+        looks = self.parity_mean
+        return replace(
+            self,
+            windows=self.windows[rows],
+            mean=self.mean[rows],
+            slope=self.slope[rows],
+            parity_mean=WindowedMean(looks.mean[rows], looks.covariance[rows], looks.dof[rows]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -16,3 +123,76 @@ class Survey:
     table: ChannelTable
     windows: Windows
     config: Config
+
+    @cached_property
+    def moments(self) -> tuple[Moments, ...]:
+        """Means of every block of channels that can be compared with one another."""
+        from fdilog.geometry import blocks
+
+        found: list[Moments] = []
+        for block in blocks(self.table.axes):
+            found.extend(self._block_moments(block))
+        return tuple(found)
+
+    def _block_moments(self, block: tuple[int, ...]) -> Iterator[Moments]:
+        from fdilog.geometry import blocks
+
+        columns = np.array(block)
+        present = self._present(columns)
+        patterns, which = np.unique(present, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            here = np.flatnonzero(which == number)
+            channels = columns[pattern]
+            # Without some of its channels a block may fall apart.
+            parts = blocks(self.table.axes[channels]) if len(channels) > 1 else []
+            for part in parts:
+                yield from self._pattern_moments(tuple(channels[list(part)].tolist()), here)
+
+    def _present(self, columns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which channels hold enough readings in each window, (n_windows, n_columns)."""
+        valid = self.table.valid[:, columns]
+        if bool(valid.all()):
+            return np.ones((len(self.windows), len(columns)), bool)
+        counts = np.zeros((len(valid) + 1, len(columns)))
+        np.cumsum(valid, axis=0, out=counts[1:])
+        held = counts[self.windows.stop] - counts[self.windows.start]
+        rates = np.array([self.table.channels[c].rate_hz for c in columns])
+        promised = np.minimum(1.0, rates * self.table.period_s) if self.table.period_s else 1.0
+        size = (self.windows.stop - self.windows.start)[:, None]
+        enough: NDArray[np.bool_] = held >= np.maximum(FEWEST_PRESENT * size * promised, 1.0)
+        return enough
+
+    def _pattern_moments(
+        self, channels: tuple[int, ...], here: NDArray[np.int64]
+    ) -> Iterator[Moments]:
+        from fdilog.geometry import parity_matrix
+
+        columns = list(channels)
+        together = np.asarray(self.table.valid[:, columns].all(axis=1), bool)
+        rows = np.flatnonzero(together)
+        readings = self.table.rate_rad_s[:, columns]
+        time_s = self.table.time_s
+        start, stop = self.windows.start[here], self.windows.stop[here]
+        if len(rows) < len(together):
+            before = np.concatenate([[0], np.cumsum(together)])
+            start, stop = before[start], before[stop]
+            readings, time_s = readings[rows], time_s[rows]
+        parity = parity_matrix(self.table.axes[columns])
+        residuals = readings @ parity.T
+        sums = np.zeros((len(readings) + 1, len(columns)))
+        np.cumsum(readings, axis=0, out=sums[1:])
+        sizes = stop - start
+        for size in np.unique(sizes[sizes > 0]):
+            of_size = np.flatnonzero(sizes == size)
+            first, last = start[of_size], stop[of_size] - 1
+            view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
+            elapsed = np.maximum(time_s[last] - time_s[first], self.table.period_s)[:, None]
+            rise = readings[last] - readings[first]
+            yield Moments(
+                windows=here[of_size],
+                channels=channels,
+                mean=(sums[last + 1] - sums[first]) / size,
+                slope=np.divide(rise, elapsed, out=np.zeros_like(rise), where=elapsed > 0),
+                parity=parity,
+                parity_mean=windowed_mean(view[first].transpose(0, 2, 1)),
+            )

@@ -8,11 +8,25 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fdilog.detectors.vote import named_channel
-from fdilog.geometry import Floats, checked_axes, checked_readings, detectable, leave_one_out
+from fdilog.finding import Evidence
+from fdilog.geometry import (
+    Floats,
+    checked_axes,
+    checked_readings,
+    detectable,
+    isolability_groups,
+    leave_one_out,
+)
+from fdilog.isolation import Answer, comparative_evidence, compare, family_wise_confidence
+from fdilog.windows import Moments, Survey
 
 TOLERANCE_SIGMAS = 3.0
 """[Triads]: the tolerance is three standard deviations."""
@@ -136,3 +150,52 @@ def declared_failed(
         tolerance, at, axis=1
     )
     return np.where((candidate >= 0) & beyond[:, 0], candidate, -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferenceDetector:
+    """Bias of the channel that differs most from its prediction, found one after the other."""
+
+    description: ClassVar[str] = "leave-one-out difference, largest first [Triads, search 4]"
+    alone: ClassVar[bool] = False
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel with the largest difference, strike it out, and look again."""
+        return [
+            comparative_evidence(
+                "difference", survey, [_search(moments, survey) for moments in survey.moments]
+            )
+        ]
+
+
+def _search(moments: Moments, survey: Survey) -> Answer:
+    """Run the sequential search on the window means of one block of channels."""
+    config = survey.config
+    axes = survey.table.axes[list(moments.channels)]
+    confidence = family_wise_confidence(config, survey.windows.length_s, len(axes))
+    healthy = np.radians(config.noise.bias_sigma_deg_s)
+    alone = partial(
+        compare, axes=axes, variance=np.ones(len(axes)), config=config, family_confidence=confidence
+    )
+    alike = np.eye(len(axes), dtype=bool)
+    for group in isolability_groups(axes):
+        alike[np.ix_(group, group)] = True
+    answer = Answer.of(alone(moments, removed=()))
+    # The channels struck out differ from window to window; there are few such sets.
+    todo: list[tuple[tuple[int, ...], NDArray[np.intp]]] = [((), np.arange(len(moments.windows)))]
+    while todo:
+        removed, rows = todo.pop()
+        found = alone(moments.at(rows), removed=removed)
+        left = np.ones(len(axes), bool)
+        left[list(removed)] = False
+        outside = found.outside(healthy) & left
+        size = np.where(outside, np.abs(found.error), -np.inf)
+        candidate = np.where(outside.any(axis=1), size.argmax(axis=1), -1)
+        for bound, values in ((answer.low, -found.half_width), (answer.high, found.half_width)):
+            bound[rows] = np.where(found.tested, found.error + values, bound[rows])
+        for channel in np.unique(candidate[candidate >= 0]).tolist():
+            named = rows[candidate == channel]
+            answer.accused[np.ix_(named, np.flatnonzero(alike[channel]))] = len(removed) + 1
+            if len(removed) + 1 < min(config.detectors.max_failures, len(moments.parity)):
+                todo.append(((*removed, channel), named))
+    return answer

@@ -8,11 +8,13 @@ References
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fdilog.finding import Evidence
 from fdilog.geometry import (
     RANK_TOLERANCE,
     Floats,
@@ -20,6 +22,8 @@ from fdilog.geometry import (
     parity_matrix,
     parity_matrix_qr,
 )
+from fdilog.isolation import comparative_evidence, isolate
+from fdilog.windows import Survey
 
 
 def parity_search(
@@ -62,3 +66,29 @@ def parity_search(
     misfit = np.maximum(total - np.nan_to_num(projected * error), 0.0)
     misfit[np.isnan(vector).any(axis=1)] = np.nan
     return misfit, error
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParityDetector:
+    """Bias of any set of channels that the redundancy can tell, by joint tests in parity space."""
+
+    description: ClassVar[str] = "parity space, joint hypotheses of one or two failures [Larin15]"
+    alone: ClassVar[bool] = False
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Give an interval for every channel's error, and the smallest sets that explain it."""
+        return [
+            comparative_evidence(
+                "parity",
+                survey,
+                [
+                    isolate(
+                        moments,
+                        survey.table.axes[list(moments.channels)],
+                        survey.config,
+                        survey.windows.length_s,
+                    )
+                    for moments in survey.moments
+                ],
+            )
+        ]

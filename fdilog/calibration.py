@@ -1,0 +1,212 @@
+"""What healthy sources differ by in proportion to the rate: misalignment and scale.
+
+Two triads on one board are never quite parallel and never quite of one scale. Left in, a turn of
+70 deg/s shows a misalignment of one degree as an error of 1.2 deg/s. The log itself tells it: over
+most of a flight the parity vector follows ``p = c + B w``. The part in proportion to the rate is
+taken out where it is within what healthy gyros have, and it is always reported; the constant part
+is never taken out, for a bias is what is looked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.config import Config
+from fdilog.geometry import blocks, parity_matrix
+from fdilog.noise import robust_sigma
+from fdilog.table import ChannelTable
+
+Floats = NDArray[np.float64]
+
+# Means over a second: long against vibration and sampling offsets, short against manoeuvres.
+STRETCH_S = 1.0
+# Fewer stretches than this do not tell four unknowns from a fault.
+FEWEST_STRETCHES = 20
+# Huber's constant: 95 % efficient for normal noise, bounded influence of what is not.
+HUBER = 1.345
+ROUNDS = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """How a source differs from the reference source.
+
+    Parameters
+    ----------
+    rotation_deg
+        Small rotation that turns the reference's axes into this source's. [deg]
+    scale
+        Its scale factors relative to the reference's, along x, y, z. [1]
+    bias_rad_s
+        Constant difference, which is not taken out. [rad/s]
+    note
+        What was done about it.
+    """
+
+    source: str
+    rotation_deg: tuple[float, float, float]
+    scale: tuple[float, float, float]
+    bias_rad_s: tuple[float, float, float]
+    note: str | None = None
+
+
+def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[Calibration, ...]]:
+    """Take out what is in proportion to the rate, block by block, and say what it was.
+
+    The regression is Huber's, on means over one second, so that faults and manoeuvres of a part of
+    the flight do not decide it; a normal prior of ``noise.scale_sigma`` on every coefficient keeps
+    a flight with little rotation from inventing any.
+    """
+    n_channels = len(table.channels)
+    error_per_rate = np.zeros((n_channels, 3))
+    constant = np.full(n_channels, np.nan)
+    means, rates = _stretch_means(table)
+    for block in blocks(table.axes):
+        columns = list(block)
+        known = np.isfinite(means[:, columns]).all(axis=1) & np.isfinite(rates).all(axis=1)
+        if known.sum() < FEWEST_STRETCHES:
+            continue
+        parity = parity_matrix(table.axes[columns])
+        fitted = _huber(
+            means[np.ix_(np.flatnonzero(known), columns)] @ parity.T,
+            rates[known],
+            config.noise.scale_sigma,
+        )
+        error_per_rate[columns] = parity.T @ fitted[:, 1:]
+        constant[columns] = parity.T @ fitted[:, 0]
+    taken_out = _within_tolerance(table, error_per_rate, config)
+    return _corrected(table, taken_out), _described(table, error_per_rate, constant, taken_out)
+
+
+def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
+    """Mean readings over stretches of one second, (n, n_channels), and mean body rates, (n, 3)."""
+    which = np.floor(table.time_s / STRETCH_S).astype(np.int64)
+    start = np.flatnonzero(np.concatenate([[True], np.diff(which) > 0])) if len(which) else which
+    filled = np.where(table.valid, table.rate_rad_s, 0.0)
+    count = np.add.reduceat(table.valid.astype(float), start, axis=0)
+    length = np.diff(np.append(start, len(which)))[:, None]
+    full = count > 0.9 * length
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.where(full, np.add.reduceat(filled, start, axis=0) / count, np.nan)
+    complete = np.isfinite(means).all(axis=0 if not len(means) else 1)
+    rates = np.full((len(means), 3), np.nan)
+    if np.linalg.matrix_rank(table.axes) == 3:
+        rates[complete] = means[complete] @ np.linalg.pinv(table.axes).T
+    return means, rates
+
+
+def _huber(parity: Floats, rates: Floats, sigma: float) -> Floats:
+    """Robust regression of parity vectors on body rates, with a prior on the slopes.
+
+    Parameters
+    ----------
+    parity : (n, q)
+        Parity vectors p. [rad/s]
+    rates : (n, 3)
+        Body rates w. [rad/s]
+    sigma
+        Standard deviation of a slope expected beforehand. [1]
+
+    Returns
+    -------
+    coefficients : (q, 4)
+        Constant c [rad/s] and slopes B [1].
+
+    References
+    ----------
+    P. J. Huber, Robust Statistics, Wiley 1981, section 7.8 (iteratively reweighted least squares).
+    """
+    design = np.column_stack([np.ones(len(rates)), rates])
+    found = np.zeros((parity.shape[1], 4))
+    for k, target in enumerate(parity.T):
+        weight = np.ones(len(target))
+        level = np.array([float(np.median(target)), 0.0, 0.0, 0.0])
+        noise = max(float(robust_sigma(target)), 1e-12)
+        for _ in range(ROUNDS):
+            ridge = np.diag([0.0, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
+            normal = design.T @ (weight[:, None] * design) + ridge
+            solved = np.linalg.solve(normal, design.T @ (weight * target))
+            residual = np.abs(target - design @ solved)
+            noise = max(float(robust_sigma(target - design @ solved)), 1e-12)
+            weight = np.minimum(1.0, HUBER * noise / np.maximum(residual, 1e-300))
+            done = np.allclose(solved, level, rtol=1e-6, atol=1e-12)
+            level = solved
+            if done:
+                break
+        found[k] = level
+    return found
+
+
+def _within_tolerance(table: ChannelTable, error_per_rate: Floats, config: Config) -> Floats:
+    """Keep the blocks in which no channel's proportional error is beyond the scale tolerance."""
+    kept = np.zeros_like(error_per_rate)
+    for block in blocks(table.axes):
+        columns = list(block)
+        largest = np.linalg.norm(error_per_rate[columns], axis=1).max()
+        if largest <= config.tolerance.scale:
+            kept[columns] = error_per_rate[columns]
+    return kept
+
+
+def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
+    """Subtract ``M w`` with w the least-squares rate of the channels recorded at each instant."""
+    if not error_per_rate.any():
+        return table
+    complete = table.valid.all(axis=1)
+    filled = np.where(table.valid, table.rate_rad_s, 0.0)
+    rates = filled @ np.linalg.pinv(table.axes).T
+    for pattern in np.unique(table.valid[~complete], axis=0):
+        rows = np.flatnonzero((table.valid == pattern).all(axis=1))
+        rates[rows] = (
+            filled[np.ix_(rows, np.flatnonzero(pattern))] @ np.linalg.pinv(table.axes[pattern]).T
+        )
+    rate = table.rate_rad_s - rates @ error_per_rate.T
+    return replace(table, rate_rad_s=rate)
+
+
+def _described(
+    table: ChannelTable, error_per_rate: Floats, constant: Floats, taken_out: Floats
+) -> tuple[Calibration, ...]:
+    """Say what every other triad of the reference's axes differs by from the reference."""
+    sources = list(dict.fromkeys(channel.source for channel in table.channels))
+    triads = {
+        source: [k for k, channel in enumerate(table.channels) if channel.source == source]
+        for source in sources
+    }
+    reference = triads[sources[0]]
+    found = []
+    for source in sources[1:]:
+        columns = triads[source]
+        if len(columns) != 3 or len(reference) != 3 or not np.isfinite(constant[columns]).all():
+            continue
+        # In the body frame: what the source reads along each axis, less what the reference reads.
+        frame = table.axes[columns].T @ error_per_rate[columns]
+        frame -= table.axes[reference].T @ error_per_rate[reference]
+        bias = table.axes[columns].T @ constant[columns]
+        bias -= table.axes[reference].T @ constant[reference]
+        # z = S R' w, so z - w = (S - I) w - rotation x w to first order.
+        turn = np.degrees(
+            [
+                (frame[1, 2] - frame[2, 1]) / 2,
+                (frame[2, 0] - frame[0, 2]) / 2,
+                (frame[0, 1] - frame[1, 0]) / 2,
+            ]
+        )
+        left = not taken_out[columns].any() and bool(error_per_rate[columns].any())
+        found.append(
+            Calibration(
+                source=source,
+                rotation_deg=_three(turn),
+                scale=_three(1.0 + np.diag(frame)),
+                bias_rad_s=_three(bias),
+                note="beyond the scale tolerance: left in" if left else None,
+            )
+        )
+    return tuple(found)
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,154 @@
+"""A gyro that repeats one value: stuck, or dead if that value is zero.
+
+A channel accuses itself here; no other gyro is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.finding import Evidence, Kind
+from fdilog.table import ChannelTable
+from fdilog.windows import Survey, spans, stretches
+
+# One false run in a million flights of any length.
+FALSE_RUNS = 1e-6
+# A run is longer than any logger's hold of one sample: shorter ones are repeats, not failures.
+FEWEST_REPEATS = 10
+SHORTEST_RUN_S = 0.2
+# Chance of a repeat that is assumed of even the finest gyro, so that a few equal readings of a
+# quiet one are never called impossible.
+LEAST_CHANCE = 0.05
+# What moves by fewer steps than this may rest within one step of a coarser gyro.
+MOVING_STEPS = 4.0
+
+
+def runs_of_equal(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find the maximal runs of one repeated value.
+
+    Parameters
+    ----------
+    values : (n,)
+        Readings without not-a-numbers.
+
+    Returns
+    -------
+    start, stop : (n_runs,) int64
+        First index of each run, one past its last.
+    """
+    change = np.flatnonzero(np.diff(values) != 0) + 1
+    start = np.concatenate([[0], change])
+    stop = np.concatenate([change, [len(values)]])
+    return (start, stop) if len(values) else (start[:0], stop[:0])
+
+
+def longest_ordinary_run(lengths: NDArray[np.int64]) -> float:
+    """Length beyond which a run is not explained by the quantisation of a moving gyro.
+
+    Between independent steps the chance p of a repeat gives runs of length R with probability
+    p^R. The share of runs that hold two readings or more estimates p, and a few long runs hardly
+    change it; R is where ``n p^R`` falls below `FALSE_RUNS`.
+
+    Parameters
+    ----------
+    lengths : (n_runs,)
+        Lengths of all runs of a channel.
+    """
+    chance = max(float((lengths > 1).mean()), LEAST_CHANCE)
+    if chance >= 1.0:
+        return float("inf")
+    return float(np.log(lengths.sum() / FALSE_RUNS) / -np.log(chance))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatlineDetector:
+    """Stuck and dead channels, each judged by itself."""
+
+    description: ClassVar[str] = "a value repeated beyond what quantisation explains: stuck, dead"
+    alone: ClassVar[bool] = True
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Give one window for every run that no quantisation explains."""
+        table = survey.table
+        found: dict[Kind, list[tuple[int, int, int]]] = {"dead": [], "stuck": []}
+        parts = stretches(table, survey.config)
+        for channel in range(len(table.channels)):
+            for start, stop, value in _impossible_runs(table, channel, parts):
+                kind: Kind = "dead" if value == 0.0 else "stuck"
+                found[kind].append((start, stop, channel))
+        return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
+
+
+def _impossible_runs(
+    table: ChannelTable, channel: int, parts: list[tuple[int, int]]
+) -> list[tuple[int, int, float]]:
+    """List the runs of one channel (first sample, one past the last, value) that accuse it."""
+    rows = np.flatnonzero(table.valid[:, channel])
+    values = table.rate_rad_s[rows, channel]
+    if len(values) < FEWEST_REPEATS:
+        return []
+    start, stop = runs_of_equal(values)
+    # A run ends where the log has a hole: what the gyro did there is not known.
+    cuts = np.searchsorted(rows, [first for first, _ in parts[1:]])
+    start = np.union1d(start, cuts[cuts < len(rows)])
+    stop = np.append(start[1:], len(rows))
+    lengths = stop - start
+    never_moved = len(np.unique(values)) == 1
+    limit = FEWEST_REPEATS if never_moved else longest_ordinary_run(lengths)
+    period_s = 1.0 / table.channels[channel].rate_hz if table.channels[channel].rate_hz else 0.0
+    long = (lengths >= max(limit, FEWEST_REPEATS)) & (lengths * period_s >= SHORTEST_RUN_S)
+    return [
+        (int(rows[a]), int(rows[b - 1]) + 1, float(values[a]))
+        for a, b in zip(start[long], stop[long], strict=True)
+        if never_moved or _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1)
+    ]
+
+
+def _others_move(table: ChannelTable, channel: int, start: int, stop: int) -> bool:
+    """Whether a healthy gyro in this channel's place would have moved during the run.
+
+    Any channel that senses along its axis says so; without one, all others of its own source must.
+    """
+    axes = table.axes
+    along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
+    along[channel] = False
+    of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
+    of_source[channel] = False
+    step = max(table.channels[channel].step_rad_s, 0.0)
+    moving = [
+        _range(table, other, start, stop) > MOVING_STEPS * step
+        for other in np.flatnonzero(along if along.any() else of_source).tolist()
+    ]
+    return any(moving) if along.any() else bool(moving) and all(moving)
+
+
+def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:
+    readings = table.rate_rad_s[start:stop, channel][table.valid[start:stop, channel]]
+    return float(np.ptp(readings)) if len(readings) else 0.0
+
+
+def _evidence(kind: Kind, table: ChannelTable, runs: list[tuple[int, int, int]]) -> Evidence:
+    shape = (len(runs), len(table.channels))
+    accused = np.zeros(shape, np.int8)
+    tested = np.zeros(shape, bool)
+    for row, (_, _, channel) in enumerate(runs):
+        accused[row, channel] = 1
+        tested[row, channel] = True
+    nothing = np.full(shape, np.nan)
+    return Evidence(
+        detector="flatline",
+        kind=kind,
+        windows=spans(
+            table, np.array([run[0] for run in runs]), np.array([run[1] for run in runs])
+        ),
+        tested=tested,
+        low=nothing,
+        high=nothing,
+        tolerance=nothing,
+        accused=accused,
+        confidence=1.0 - FALSE_RUNS,
+    )

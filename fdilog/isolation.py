@@ -1,0 +1,293 @@
+"""Which channels failed: every hypothesis that the redundancy can test, tested jointly.
+
+A hypothesis is a set of channels that are taken out; it stands if none of those left is off by
+more than its tolerance, each compared with the others that are left. The smallest sets that stand
+are the answer: one set isolates its channels, several name suspects. A large fault of one channel
+pulls the comparison of every other, but only without it do the rest agree, so nobody else is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.config import Config
+from fdilog.finding import Evidence
+from fdilog.geometry import leave_one_out
+from fdilog.windows import Moments, Survey
+
+Floats = NDArray[np.float64]
+
+# No channel is trusted with more than ten times the weight of another: noise levels are estimates.
+LEAST_VARIANCE_SHARE = 0.1
+SECONDS_PER_HOUR = 3600.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """Each channel against its prediction from the others, some being taken out.
+
+    Parameters
+    ----------
+    tested : (k,) bool
+        Whether the others span the channel's axis.
+    error, half_width, doubt, tolerance : (n, k)
+        Estimate of the channel's error, half-width of its interval at the printed confidence and
+        at the family-wise one, and its tolerance. [rad/s]
+    """
+
+    tested: NDArray[np.bool_]
+    error: Floats
+    half_width: Floats
+    doubt: Floats
+    tolerance: Floats
+
+    def outside(self, healthy_sigma: float) -> NDArray[np.bool_]:
+        """Tell which errors lie beyond tolerance for sure, (n, k).
+
+        Two conditions: the interval at the printed confidence lies wholly outside the tolerance,
+        and the one at the family-wise confidence excludes what healthy gyros usually have. The
+        first decides where a window is known well; the second keeps windows that are known badly,
+        of which a flight has thousands, from crying wolf.
+        """
+        size = np.abs(self.error)
+        found: NDArray[np.bool_] = (
+            self.tested
+            & (size - self.half_width > self.tolerance)
+            & (size - self.doubt > healthy_sigma)
+        )
+        return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answer:
+    """What the redundancy says of each channel in each window.
+
+    Parameters
+    ----------
+    tested : (n, k) bool
+        Whether the channel was compared with anything.
+    low, high : (n, k)
+        Interval for its error that holds under every hypothesis that stands. [rad/s]
+    tolerance : (n, k)
+        Tolerance for that error, wider while the rate is high. [rad/s]
+    accused : (n, k) int8
+        As in `fdilog.finding.Evidence`.
+    """
+
+    tested: NDArray[np.bool_]
+    low: Floats
+    high: Floats
+    tolerance: Floats
+    accused: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> Answer:
+        """Start from a comparison of everyone with everyone, nobody accused yet."""
+        shape = comparison.error.shape
+        return cls(
+            tested=np.broadcast_to(comparison.tested, shape).copy(),
+            low=np.where(comparison.tested, comparison.error - comparison.half_width, -np.inf),
+            high=np.where(comparison.tested, comparison.error + comparison.half_width, np.inf),
+            tolerance=comparison.tolerance.copy(),
+            accused=np.zeros(shape, np.int8),
+        )
+
+
+def family_wise_confidence(config: Config, length_s: float, n_channels: int) -> float:
+    """Confidence per window that keeps false findings of a whole flight within the budget.
+
+    The budget of false findings per flight hour is shared alike by all window lengths and, within
+    one, by all windows of an hour and all channels (Bonferroni).
+    """
+    settings = config.windows
+    advance = max(length_s, 1e-3) * (1.0 - settings.overlap)
+    per_hour = SECONDS_PER_HOUR / advance * n_channels * len(settings.lengths_s)
+    return max(settings.confidence, 1.0 - settings.false_findings_per_hour / per_hour)
+
+
+def noise_shares(moments: Moments) -> Floats:
+    """Split the noise of the parity vector into variances of the single channels, (k,).
+
+    Solves ``V diag(s^2) V' = C`` for s^2 >= 0 in the least-squares sense, with C the median
+    covariance over windows: median, because a fault or a manoeuvre concerns few windows.
+    Only ratios matter to the weights, so the result is scaled to a mean of one.
+    """
+    parity = moments.parity
+    q, k = parity.shape
+    known = moments.parity_mean.dof > 0
+    if q == 1 or not bool(known.any()):
+        return np.ones(k)
+    from scipy.optimize import nnls
+
+    median = np.median(moments.parity_mean.covariance[known], axis=0)
+    upper = np.triu_indices(q)
+    design = np.array([np.outer(column, column)[upper] for column in parity.T]).T
+    target = median[upper]
+    scale = float(np.abs(target).max())
+    if scale == 0.0 or np.linalg.matrix_rank(design) < k:
+        return np.ones(k)
+    solution: Floats = nnls(design, target / scale)[0]
+    variance: Floats = np.maximum(solution, LEAST_VARIANCE_SHARE * solution.max())
+    return variance / float(variance.mean())
+
+
+def compare(
+    moments: Moments,
+    axes: Floats,
+    variance: Floats,
+    *,
+    removed: Sequence[int],
+    config: Config,
+    family_confidence: float,
+) -> Comparison:
+    """Compare every channel with its prediction from all others that are not removed.
+
+    Parameters
+    ----------
+    axes : (k, 3)
+        Sensitivity axes H of the channels compared. [1]
+    variance : (k,)
+        Relative noise variances; the prediction is weighted with their inverse.
+
+    References
+    ----------
+    [Triads] search 4 and its tolerance ``d = 3 sqrt(s_b^2 + (s_k z_p)^2)``; section 6 of the
+    suite's notes for the term in the rate of change.
+    """
+    sigma = np.sqrt(variance)
+    rows = leave_one_out(axes / sigma[:, None], removed) * sigma[:, None] / sigma[None, :]
+    tested = np.asarray(np.isfinite(rows).all(axis=1), bool)
+    rows = np.where(tested[:, None], rows, 0.0)
+    # Every row annihilates H, so it is a combination of the parity vector.
+    of_parity = rows @ moments.parity.T
+    looks = moments.parity_mean
+    error = looks.mean @ of_parity.T
+    half_width, doubt = (
+        np.column_stack([looks.half_width(row, confidence) for row in of_parity])
+        for confidence in (config.windows.confidence, family_confidence)
+    )
+    predicted = moments.mean - error
+    tolerance = np.sqrt(
+        np.radians(config.tolerance.bias_deg_s) ** 2
+        + (config.tolerance.scale * predicted) ** 2
+        + (3.0 * config.noise.time_sigma_s * moments.slope) ** 2
+    )
+    return Comparison(
+        tested=tested, error=error, half_width=half_width, doubt=doubt, tolerance=tolerance
+    )
+
+
+def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> Answer:
+    """Find the smallest sets of failed channels that leave the others in agreement.
+
+    Parameters
+    ----------
+    axes : (k, 3)
+        Sensitivity axes H of ``moments.channels``. [1]
+    length_s
+        Nominal length of the windows. [s]
+    """
+    k = len(moments.channels)
+    family_confidence = family_wise_confidence(config, length_s, k)
+    variance = noise_shares(moments)
+    healthy = np.radians(config.noise.bias_sigma_deg_s)
+    nobody = compare(
+        moments,
+        axes,
+        variance,
+        removed=(),
+        config=config,
+        family_confidence=family_confidence,
+    )
+    answer = Answer.of(nobody)
+    open_windows = np.flatnonzero(nobody.outside(healthy).any(axis=1))
+    for size in range(1, min(config.detectors.max_failures, len(moments.parity)) + 1):
+        if not len(open_windows):
+            break
+        part = moments.at(open_windows)
+        hypotheses = list(combinations(range(k), size))
+        stands = np.zeros((len(open_windows), len(hypotheses)), bool)
+        low = np.full((len(open_windows), k), np.inf)
+        high = np.full((len(open_windows), k), -np.inf)
+        for number, removed in enumerate(hypotheses):
+            others = compare(
+                part,
+                axes,
+                variance,
+                removed=removed,
+                config=config,
+                family_confidence=family_confidence,
+            )
+            left = np.ones(k, bool)
+            left[list(removed)] = False
+            fits = ~(others.outside(healthy) & left).any(axis=1)
+            stands[:, number] = fits
+            # Without a comparison, a channel that the hypothesis calls healthy is within tolerance,
+            # and one that it calls failed may be off by anything.
+            free = np.where(left, others.tolerance, np.inf)
+            lower = np.where(others.tested, others.error - others.half_width, -free)
+            upper = np.where(others.tested, others.error + others.half_width, free)
+            low[fits] = np.minimum(low[fits], lower[fits])
+            high[fits] = np.maximum(high[fits], upper[fits])
+        solved = stands.any(axis=1)
+        rows = open_windows[solved]
+        answer.low[rows], answer.high[rows] = low[solved], high[solved]
+        answer.accused[rows] = _suspects(stands[solved], hypotheses, k)
+        open_windows = open_windows[~solved]
+    # No set that may be considered explains these: somebody failed, and all compared may have.
+    answer.accused[open_windows] = answer.tested[open_windows]
+    answer.low[open_windows], answer.high[open_windows] = -np.inf, np.inf
+    return answer
+
+
+def _suspects(
+    stands: NDArray[np.bool_], hypotheses: Sequence[tuple[int, ...]], k: int
+) -> NDArray[np.int8]:
+    """Give each suspect a number; members of every set that stands are sure, each by itself."""
+    member = np.zeros((len(hypotheses), k), bool)
+    for number, removed in enumerate(hypotheses):
+        member[number, list(removed)] = True
+    named = (stands.astype(float) @ member) > 0
+    spared = (stands.astype(float) @ ~member) > 0
+    sure = named & ~spared
+    accused = np.zeros(named.shape, np.int8)
+    accused[named & ~sure] = 1
+    numbers = 1 + np.cumsum(sure, axis=1)
+    accused[sure] = numbers[sure]
+    return accused
+
+
+def comparative_evidence(detector: str, survey: Survey, answers: Sequence[Answer]) -> Evidence:
+    """Lay the answers for the blocks of a survey out over its windows and channels.
+
+    Parameters
+    ----------
+    answers
+        One for each of ``survey.moments``, in that order.
+    """
+    shape = (len(survey.windows), len(survey.table.channels))
+    evidence = Evidence(
+        detector=detector,
+        kind="bias",
+        windows=survey.windows,
+        tested=np.zeros(shape, bool),
+        low=np.full(shape, -np.inf),
+        high=np.full(shape, np.inf),
+        tolerance=np.full(shape, np.nan),
+        accused=np.zeros(shape, np.int8),
+        confidence=survey.config.windows.confidence,
+    )
+    for moments, answer in zip(survey.moments, answers, strict=True):
+        place = np.ix_(moments.windows, np.array(moments.channels))
+        # Suspects of one block are not those of another, whatever number they carry.
+        offset = evidence.accused[moments.windows].max(axis=1, initial=0)[:, None]
+        evidence.accused[place] = np.where(answer.accused > 0, answer.accused + offset, 0)
+        evidence.tested[place] = answer.tested
+        evidence.low[place], evidence.high[place] = answer.low, answer.high
+        evidence.tolerance[place] = answer.tolerance
+    return evidence
