@@ -1,0 +1,171 @@
+"""What the pictures are drawn from: every channel against its peers, and the intervals for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.analysis import Analysis
+from fdilog.finding import Evidence
+from fdilog.geometry import leave_one_out
+from fdilog.table import ChannelTable
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Residual:
+    """One channel's reading minus what its peers predict.
+
+    Parameters
+    ----------
+    channel
+        Column of the table.
+    peers
+        Columns that predict it wherever all of them are valid.
+    value : (n_samples,)
+        Residual; NaN where nothing predicts the channel. [rad/s]
+    """
+
+    channel: int
+    peers: tuple[int, ...]
+    value: Floats
+
+
+def residuals(analysis: Analysis) -> list[Residual]:
+    """Compare every gyro channel with its peers, sample by sample.
+
+    Channels that are found to have failed, and derived ones, predict nothing as long as the others
+    suffice. Channels that nothing predicts are left out.
+    """
+    table = analysis.table
+    failed = {i for i, status in enumerate(analysis.status) if status == "failed"}
+    derived = {i for i, channel in enumerate(table.channels) if channel.derived}
+    if not table.channels:
+        return []
+    value = np.full((len(table.channels), len(table.time_s)), np.nan)
+    for present, rows in _stretches(table):
+        if not present.any():
+            continue
+        kept = np.flatnonzero(present)
+        weight = _weights(table.axes[kept], _among(kept, failed), _among(kept, derived))
+        value[np.ix_(kept, rows)] = weight @ table.rate_rad_s[np.ix_(rows, kept)].T
+    every = _weights(table.axes, failed, derived)
+    found = []
+    for i in range(len(table.channels)):
+        if i in derived or not np.isfinite(value[i]).any():
+            continue
+        peers = np.flatnonzero(np.abs(np.nan_to_num(every[i])) > 1e-9)
+        found.append(
+            Residual(channel=i, peers=tuple(int(j) for j in peers if j != i), value=value[i])
+        )
+    return found
+
+
+def _among(kept: NDArray[np.intp], columns: set[int]) -> set[int]:
+    return {place for place, column in enumerate(kept) if int(column) in columns}
+
+
+def _stretches(table: ChannelTable) -> list[tuple[NDArray[np.bool_], NDArray[np.intp]]]:
+    """Group the rows by which channels are valid in them: (valid channels, rows) of each group."""
+    if not len(table.time_s):
+        return []
+    packed = np.packbits(table.valid, axis=1)
+    code = packed.astype(np.int64) @ (256 ** np.arange(packed.shape[1]))
+    return [
+        (table.valid[rows[0]], rows)
+        for rows in (np.flatnonzero(code == pattern) for pattern in np.unique(code))
+    ]
+
+
+def _weights(axes: Floats, failed: set[int], derived: set[int]) -> Floats:
+    """Rows of leave-one-out, each from the best peers that determine it; NaN if none do."""
+    weight = np.full((len(axes), len(axes)), np.nan)
+    for removed in (failed | derived, failed, set[int]()):
+        missing = np.isnan(weight).any(axis=1)
+        if missing.any():
+            weight[missing] = leave_one_out(axes, sorted(removed))[missing]
+    return weight
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intervals:
+    """One detector's intervals for one channel's error, over windows of one length.
+
+    Parameters
+    ----------
+    middle_s, low, high, tolerance : (n_windows,)
+        Middle of each window [s], interval of the error and what it is held against. [rad/s]
+    """
+
+    detector: str
+    length_s: float
+    confidence: float
+    middle_s: Floats
+    low: Floats
+    high: Floats
+    tolerance: Floats
+
+    @property
+    def beyond(self) -> NDArray[np.bool_]:
+        """Windows whose interval lies wholly outside the tolerance."""
+        outside: NDArray[np.bool_] = (self.low > self.tolerance) | (self.high < -self.tolerance)
+        return outside
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Windows whose interval lies wholly inside the tolerance."""
+        within: NDArray[np.bool_] = (self.low >= -self.tolerance) & (self.high <= self.tolerance)
+        return within
+
+    @property
+    def median_half_width(self) -> float:
+        """How sharp the intervals are. [rad/s]"""
+        return float(np.median(self.high - self.low) / 2.0)
+
+
+MOST_WINDOWS = 240
+"""More intervals than this beside one another are a smear on paper: longer windows are drawn."""
+
+
+def leading(evidence: Sequence[Evidence]) -> list[Evidence]:
+    """Return the evidence of the detector that decides: the first one that compares."""
+    compared = [item for item in evidence if item.kind == "bias" and len(item.windows)]
+    return [item for item in compared if item.detector == compared[0].detector]
+
+
+def intervals(analysis: Analysis, channel: int) -> Intervals | None:
+    """Choose the deciding detector's intervals: the shortest windows that can still be drawn.
+
+    At most `MOST_WINDOWS`; where every length has more of them, the longest windows.
+    """
+    bounded = [
+        (evidence, known)
+        for evidence in leading(analysis.evidence)
+        for known in [_bounded(evidence, channel)]
+        if known.any()
+    ]
+    if not bounded:
+        return None
+    drawable = [pair for pair in bounded if pair[1].sum() <= MOST_WINDOWS]
+    most_first = sorted(drawable or bounded, key=lambda pair: -int(pair[1].sum()))
+    evidence, known = most_first[0 if drawable else -1]
+    windows = evidence.windows
+    return Intervals(
+        detector=evidence.detector,
+        length_s=windows.length_s,
+        confidence=evidence.confidence,
+        middle_s=(windows.start_s[known] + windows.end_s[known]) / 2.0,
+        low=evidence.low[known, channel],
+        high=evidence.high[known, channel],
+        tolerance=evidence.tolerance[known, channel],
+    )
+
+
+def _bounded(evidence: Evidence, channel: int) -> NDArray[np.bool_]:
+    low, high = evidence.low[:, channel], evidence.high[:, channel]
+    known: NDArray[np.bool_] = evidence.tested[:, channel] & np.isfinite(low) & np.isfinite(high)
+    return known

@@ -1,0 +1,287 @@
+"""What the report says in plain words: a finding, a verdict, and what could not have been seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from fdilog.analysis import Analysis
+from fdilog.finding import Finding, Size
+from fdilog_reports.words import (
+    DEG_PER_RAD,
+    between,
+    figure,
+    flight_time,
+    listed,
+    percent,
+    rounded,
+    several,
+    shown,
+)
+
+# SI unit of a size: the factor and the unit it is printed in.
+_PRINTED_UNIT = {
+    "rad/s": (DEG_PER_RAD, "deg/s"),
+    "rad/s^2": (DEG_PER_RAD, "deg/s per second"),
+    "s": (1.0, "s"),
+}
+_PRINTED_FACTOR = {"scale": (100.0, "%"), "noise": (1.0, "times")}
+
+KIND_NAME = {
+    "bias": "constant error",
+    "drift": "drift",
+    "scale": "scale error",
+    "noise": "excess noise",
+    "stuck": "stuck",
+    "dead": "dead",
+    "saturated": "saturated",
+    "impulse": "impulse",
+    "dropout": "dropout",
+    "mounting": "mounting",
+    "disagreement": "disagreement of no known kind",
+}
+
+PARALLEL = 1.0 - 1e-9
+"""Cosine from which two axes are one line."""
+
+# A finding that starts and ends this near to the ends of the table lasted throughout.
+_THROUGHOUT_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintedSize:
+    """A size in the unit people think in, as strings."""
+
+    estimate: str
+    interval: str
+    unit: str
+    confidence: str
+
+    def __str__(self) -> str:
+        """Return estimate and unit, as a table cell has it."""
+        return f"{self.estimate} {self.unit}"
+
+
+def printed_size(finding: Finding, *, flipped: bool = False) -> PrintedSize | None:
+    """Convert and round a finding's size; ``flipped`` prints its negative."""
+    size = finding.size
+    if size is None:
+        return None
+    scale, unit = _PRINTED_FACTOR.get(finding.kind) or _PRINTED_UNIT.get(size.unit) or (1.0, "")
+    ends = sorted((-size.low, -size.high)) if flipped else (size.low, size.high)
+    estimate = -size.estimate if flipped else size.estimate
+    low, high, middle = rounded(scale * ends[0], scale * ends[1], scale * estimate)
+    return PrintedSize(
+        estimate=middle,
+        interval=between(low, high),
+        unit=unit or shown(size.unit),
+        confidence=confidence_of(size),
+    )
+
+
+def confidence_of(size: Size) -> str:
+    """Return "99.9 %", or "guaranteed" where the interval holds as long as its bound does."""
+    return "guaranteed" if size.confidence >= 1.0 else percent(size.confidence)
+
+
+def negative(size: Size) -> bool:
+    """Whether a signed size means "too little"."""
+    if math.isfinite(size.estimate):
+        return size.estimate < 0.0
+    return size.high < 0.0
+
+
+def suspects(finding: Finding) -> str:
+    """Name whom a finding accuses."""
+    return listed([shown(name) for name in finding.suspects], "or")
+
+
+def finding_sentence(finding: Finding, analysis: Analysis) -> str:
+    """Say what one finding found: who, what, how much, when."""
+    claim = f"{_claim(finding, analysis)} {_when(finding, analysis)}"
+    if finding.isolated:
+        return f"{suspects(finding)} {claim}."
+    one_of = listed([shown(name) for name in finding.suspects])
+    return f"One of {one_of} {claim}; this log cannot tell which."
+
+
+def size_is_shared(finding: Finding, analysis: Analysis) -> bool:
+    """Whether the size would be the same whichever suspect it was: all measure along one line."""
+    axes = [c.axis for c in analysis.table.channels if c.name in finding.suspects]
+    return len(axes) == len(finding.suspects) and all(
+        abs(sum(a * b for a, b in zip(axes[0], axis, strict=True))) > PARALLEL for axis in axes
+    )
+
+
+def _when(finding: Finding, analysis: Analysis) -> str:
+    time_s = analysis.table.time_s
+    span = flight_time(finding.start_s, finding.end_s)
+    if not len(time_s) or finding.kind == "impulse":
+        return span
+    first, last = float(time_s[0]), float(time_s[-1])
+    at_start = finding.start_s - first <= _THROUGHOUT_S
+    at_end = last - finding.end_s <= _THROUGHOUT_S
+    if at_start and at_end and last - first > 4 * _THROUGHOUT_S:
+        return f"throughout, {span}"
+    return span
+
+
+def _claim(finding: Finding, analysis: Analysis) -> str:
+    """Say what happened, without who and when."""
+    size = finding.size
+    if size is None:
+        return _UNSIZED[finding.kind]
+    flipped = finding.kind in {"bias", "drift", "impulse", "scale"} and negative(size)
+    printed = printed_size(finding, flipped=flipped)
+    amount = str(printed)
+    interval = f"({printed.confidence}: {printed.interval})" if printed else ""
+    much, large = ("too little", "too small") if flipped else ("too much", "too large")
+    up = "downwards" if flipped else "upwards"
+    if not finding.isolated:  # the sign depends on which of them it is
+        if not size_is_shared(finding, analysis):
+            interval = f"{interval} if it was {shown(finding.suspects[0])}"
+        return _CLAIM_OF_SEVERAL.get(finding.kind, _CLAIM[finding.kind]).format(
+            amount=amount, interval=interval
+        )
+    return _CLAIM[finding.kind].format(
+        amount=amount, interval=interval, much=much, large=large, up=up
+    )
+
+
+_CLAIM = {
+    "bias": "read {amount} {much} {interval}",
+    "drift": "drifted {up} by {amount} {interval}",
+    "scale": "read rates {amount} {large} {interval}",
+    "noise": "was {amount} as noisy as it should be {interval}",
+    "impulse": "jumped by {amount} {much} {interval}",
+    "dropout": "was silent for {amount} while others went on {interval}",
+    "stuck": "was stuck at one value",
+    "dead": "was dead: it read zero",
+    "saturated": "was at the end of its range",
+    "mounting": "points elsewhere than its mounting says",
+    "disagreement": "disagreed with the others",
+}
+_CLAIM_OF_SEVERAL = {
+    "bias": "was wrong by {amount} {interval}",
+    "drift": "drifted by {amount} {interval}",
+    "scale": "read rates wrong by {amount} {interval}",
+    "impulse": "jumped by {amount} {interval}",
+}
+_UNSIZED = {
+    "bias": "read a wrong rate, by how much the log does not bound,",
+    "drift": "drifted, how fast the log does not bound,",
+    "scale": "read rates in a wrong scale, by how much the log does not bound,",
+    "noise": "was noisier than it should be",
+    "impulse": "jumped",
+    "dropout": "was silent while others went on",
+    "stuck": "was stuck at one value",
+    "dead": "was dead: it read zero",
+    "saturated": "was at the end of its range",
+    "mounting": "points elsewhere than its mounting says",
+    "disagreement": "disagreed with the others",
+}
+
+VERDICT_WORD = {
+    "failed": "Failed",
+    "healthy": "Healthy as far as this log can tell",
+    "undecided": "Undecided",
+    "insufficient": "Insufficient",
+}
+
+
+def verdict_sentence(analysis: Analysis) -> str:
+    """Say in one sentence what the log shows."""
+    if analysis.verdict == "failed":
+        return _failed(analysis)
+    if analysis.verdict == "insufficient":
+        return f"Nothing could be compared: {_why_nothing(analysis)}."
+    judged = [s for s in analysis.status if s != "insufficient"]
+    unsure = [
+        shown(channel.name)
+        for channel, status in zip(analysis.table.channels, analysis.status, strict=True)
+        if status == "undecided"
+    ]
+    tolerance = f"{figure(analysis.config.tolerance.bias_deg_s)} deg/s"
+    if analysis.verdict == "healthy":
+        return (
+            f"No channel was found to have failed, and all {several(len(judged), 'channel')} that"
+            f" could be compared kept within {tolerance} of what the others say, in windows that"
+            " cover at least 90 % of the time."
+        )
+    if unsure:
+        return (
+            f"No channel was found to have failed, but {len(unsure)} of {len(judged)} compared"
+            f" could not be shown to keep within {tolerance}: {listed(unsure)}."
+        )
+    return "No channel was found to have failed, but part of the log is lost."
+
+
+def _failed(analysis: Analysis) -> str:
+    alone = list(dict.fromkeys(f.suspects[0] for f in analysis.findings if f.isolated))
+    groups = list(dict.fromkeys(f.suspects for f in analysis.findings if not f.isolated))
+    if len(analysis.findings) == 1:
+        return finding_sentence(analysis.findings[0], analysis)
+    parts = []
+    if alone:
+        parts.append(f"{listed([shown(name) for name in alone])} failed")
+    if len(groups) == 1:
+        names = listed([shown(name) for name in groups[0]], "or")
+        parts.append(f"{names} failed, and this log cannot tell which")
+    elif groups:
+        parts.append(
+            f"{'in' if alone else 'In'} each of {len(groups)} groups of channels one failed, and"
+            " this log cannot tell which"
+        )
+    if not parts:
+        return "A gyro failed."
+    return f"{'; '.join(parts)} ({several(len(analysis.findings), 'finding')})."
+
+
+def _why_nothing(analysis: Analysis) -> str:
+    channels = analysis.table.channels
+    sources = list(dict.fromkeys(shown(channel.source) for channel in channels))
+    if not channels:
+        return "the log holds no gyro channel that could be used"
+    if not len(analysis.table.time_s):
+        return "no sample is left of the gyro channels"
+    if not analysis.isolability.detectable:
+        if len(sources) == 1:
+            return f"the log holds one gyro source, {sources[0]}, and nothing to hold it against"
+        return f"no two of the sources {listed(sources)} measure along a common direction"
+    return f"the sources {listed(sources)} have too little in common in time"
+
+
+def blind_spots(analysis: Analysis) -> list[str]:
+    """Say what this log could not have shown, whatever had happened."""
+    said = []
+    groups = [listed([shown(name) for name in group]) for group in analysis.isolability.groups]
+    if groups:
+        said.append(
+            "A fault of one looks like a fault of the other, so these are accused together, never"
+            f" apart: {'; '.join(groups)}."
+        )
+    compared = set(analysis.isolability.detectable)
+    alone = [
+        shown(c.name) for c in analysis.table.channels if c.name not in compared and not c.derived
+    ]
+    if alone:
+        said.append(
+            f"{listed(alone)}: nothing else in this log measures along"
+            f" {'its axis' if len(alone) == 1 else 'their axes'}, so a fault would not have shown."
+        )
+    untested = [
+        shown(c.name)
+        for c, status in zip(analysis.table.channels, analysis.status, strict=True)
+        if status == "insufficient" and c.name in compared
+    ]
+    if untested:
+        said.append(f"{listed(untested)}: never compared, for want of samples in common.")
+    witnesses = list(dict.fromkeys(shown(c.source) for c in analysis.table.channels if c.derived))
+    if witnesses:
+        said.append(
+            f"{listed(witnesses)} {'is' if len(witnesses) == 1 else 'are'} derived, not measured by"
+            " a gyro of its own: a witness for faults that last seconds, blind to short ones."
+        )
+    tolerance = figure(analysis.config.tolerance.bias_deg_s)
+    said.append(f"Errors below the tolerance of {tolerance} deg/s are not called failures.")
+    return said
