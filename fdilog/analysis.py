@@ -97,6 +97,13 @@ class Analysis:
         """Return the Markdown report."""
         return self._render("md")
 
+    def to_text(self, *, brief: bool = False) -> str:
+        """Return the summary for a terminal: some lines, or just one."""
+        from fdilog.registry import plugin
+
+        text: str = plugin("reports", "text").render(self, brief=brief)
+        return text
+
     def to_html(self, path: str | Path) -> None:
         """Write the self-contained HTML report."""
         Path(path).write_text(self._render("html"), encoding="utf-8", newline="\n")

@@ -146,17 +146,45 @@ def load_config(path: Path) -> Config:
         If the file cannot be read or parsed, or holds an unknown key or a value of a wrong type;
         the text names the key and the nearest known one.
     """
-    try:
-        with path.open("rb") as file:
-            data = tomllib.load(file)
-    except OSError as error:
-        raise UsageError(f"{path}: {(error.strerror or str(error)).lower()}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid TOML: {error}") from error
+    data = _read_toml(path)
     try:
         return config_from_dict(data)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise UsageError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid TOML: {error}") from error
+
+
+def read_geometry(config: Config, name_or_file: str) -> Config:
+    """Return a copy with the geometry of that name, or of that TOML file.
+
+    The file holds the keys of the [geometry] section, with or without its heading.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or the file does not parse.
+    """
+    from fdilog.geometry import GEOMETRIES
+
+    if name_or_file in GEOMETRIES:
+        return config.replace("geometry", name=name_or_file, axes=())
+    path = Path(name_or_file)
+    if not path.is_file():
+        raise UsageError(f"no geometry '{name_or_file}'{nearest(name_or_file, list(GEOMETRIES))}")
+    data = _read_toml(path)
+    section = data if "geometry" in data else {"geometry": data}
+    if set(section) != {"geometry"}:
+        raise UsageError(f"{path}: holds more than a geometry; use --config")
+    return dataclasses.replace(config, geometry=config_from_dict(section).geometry)
 
 
 def config_from_dict(data: dict[str, Any]) -> Config:

@@ -210,7 +210,7 @@ def _joined_faults(table: ChannelTable, faults: Sequence[Fault], config: Config)
     for fault in sorted(faults, key=lambda f: (f.start, f.stop)):
         for k, other in enumerate(kept):
             gap_s = table.time_s[fault.start] - table.time_s[other.stop - 1]
-            near = gap_s <= min(fault.longest_s, other.longest_s) / 2
+            near = gap_s <= max(fault.longest_s, other.longest_s) / 2
             if near and fault.suspects & other.suspects:
                 both = Fault(
                     suspects=fault.suspects & other.suspects,
@@ -298,14 +298,14 @@ def _edges(table: ChannelTable, cluster: Cluster) -> tuple[int, int]:
     rows = first + np.flatnonzero(complete[first:last])
     if len(rows) < 3:
         return cluster.start, cluster.stop
-    residual = table.rate_rad_s[np.ix_(rows, needed)] @ row[needed]
+    residual = table.rate_rad_s[rows][:, needed] @ row[needed]
     outside = (
         np.flatnonzero(complete[:first]).tolist()
         + (last + np.flatnonzero(complete[last:])).tolist()
     )
     level = 0.0
     if len(outside) >= len(rows) / 4:
-        level = float(np.median(table.rate_rad_s[np.ix_(outside, needed)] @ row[needed]))
+        level = float(np.median(table.rate_rad_s[outside][:, needed] @ row[needed]))
     total = np.concatenate([[0.0], np.cumsum(residual - level)])
     edges = np.unique(np.linspace(0, len(rows), EDGE_BINS + 1).astype(int))
     a, b = _best_span(total, edges, edges)
@@ -329,6 +329,7 @@ def _best_span(
 
 _WORDS: dict[Kind, str] = {
     "dead": "reads exactly zero",
+    "dropout": "silent while other sources go on",
     "stuck": "repeats one value beyond what its quantisation explains",
 }
 
@@ -352,12 +353,31 @@ def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> 
             suspects=tuple(table.names[channel] for channel in sorted(said.suspects)),
             start_s=float(table.time_s[said.start]),
             end_s=float(table.time_s[said.stop - 1]),
+            size=_own_size(item, said),
             detectors=(said.detector,),
             detail=_detail((), said.kind),
         )
         for item in evidence
         for said in accusations(item)
     ]
+
+
+def _own_size(evidence: Evidence, said: Accusation) -> Size | None:
+    """Hull of the intervals that the accusing windows give the first suspect, if they give any."""
+    rows = (evidence.windows.start >= said.start) & (evidence.windows.stop <= said.stop)
+    channel = min(said.suspects)
+    rows &= evidence.accused[:, channel] > 0
+    low, high = evidence.low[rows, channel], evidence.high[rows, channel]
+    if evidence.kind not in SIZE_UNIT or not bool(np.isfinite([low, high]).all()):
+        return None
+    lowest, highest = float(low.min()), float(high.max())
+    return Size(
+        estimate=(lowest + highest) / 2,
+        low=lowest,
+        high=highest,
+        confidence=evidence.confidence,
+        unit=SIZE_UNIT[evidence.kind],
+    )
 
 
 def channel_status(

@@ -1,0 +1,5 @@
+"""`python -m fdilog`."""
+
+from fdilog.cli import main
+
+main()

@@ -1,0 +1,360 @@
+"""The command line: thin; one line per known error, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fdilog import __version__
+from fdilog.errors import FdilogError, UsageError, nearest
+
+if TYPE_CHECKING:
+    from fdilog.analysis import Analysis, Part
+    from fdilog.config import Config
+
+app = typer.Typer(
+    name="fdilog",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Post-flight forensics: which gyro failed, when, by how much, and how sure that is.",
+)
+
+
+class ExitCode(IntEnum):
+    """What the shell is told."""
+
+    HEALTHY = 0
+    FAILED = 1
+    NOTHING = 2
+    UNDECIDED = 3
+    INTERRUPTED = 130
+
+
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs; - is standard input.")]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE.toml", help="See `fdilog config`.")
+]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")]
+
+
+def main() -> None:
+    """Run the command line."""
+    warnings.showwarning = _warning
+    for stream in (sys.stdout, sys.stderr):
+        # A path may hold bytes that are no UTF-8; printing it must not fail.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    with _known_errors():
+        app()
+
+
+@contextmanager
+def _known_errors() -> Iterator[None]:
+    """Turn what a user can cause into one line and an exit code."""
+    try:
+        yield
+    except FdilogError as error:
+        _complain(str(error))
+        raise SystemExit(ExitCode.NOTHING) from None
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        raise SystemExit(ExitCode.INTERRUPTED) from None
+    except BrokenPipeError:
+        # Whoever read our output has gone; what is left has no reader, and that is no error.
+        sys.stdout = None
+        raise SystemExit(ExitCode.HEALTHY) from None
+
+
+def _complain(text: str) -> None:
+    """Write one line to standard error, whatever the text holds."""
+    typer.echo("fdilog: " + " ".join(text.split()), err=True)
+
+
+def _warning(message: Warning | str, *_args: object, **_kwargs: object) -> None:
+    _complain(f"warning: {message}")
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"fdilog {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def analyse(
+    logs: Logs,
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the report files."),
+    ] = None,
+    formats: Annotated[
+        str, typer.Option("--format", metavar="html,md,json", help="Which reports; all with -o.")
+    ] = "",
+    as_json: Annotated[
+        bool, typer.Option("--json", help="JSON on standard output, one object a line.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="One line per log, no progress.")
+    ] = False,
+    config: ConfigFile = None,
+    geometry: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="How the gyros point; see the guide.")
+    ] = "",
+    detectors: Annotated[
+        str, typer.Option(metavar="a,b,c", help="Methods to ask; see `fdilog detectors`.")
+    ] = "",
+    tolerance: Annotated[
+        float | None, typer.Option(metavar="DEG_S", help="Gyro error that is a failure. [deg/s]")
+    ] = None,
+    from_s: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="From this flight time on. [s]")
+    ] = None,
+    to_s: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Up to this flight time. [s]")
+    ] = None,
+    armed: Annotated[bool, typer.Option("--armed", help="Only what was flown armed.")] = False,
+) -> None:
+    """Say which gyro failed, when, by how much, and how sure that is.
+
+    Exit code: 0 healthy, 1 a gyro failed, 3 undecided or nothing to compare with, 2 no log could
+    be analysed.
+    """
+    settings = _settings(config, geometry, detectors, tolerance)
+    part = _part(from_s, to_s, armed=armed)
+    names = _report_names(formats, output)
+    taken: set[str] = set()
+    codes = []
+    for log in logs:
+        try:
+            with _progress(log, shown=not quiet) as step:
+                analysis = _analysed(log, settings, part, step)
+        except UsageError:
+            raise
+        except FdilogError as error:
+            codes.append(ExitCode.NOTHING)
+            _complain(str(error))
+            if as_json:
+                typer.echo(_error_json(log, error))
+            continue
+        if as_json:
+            typer.echo(analysis.to_json(), nl=False)
+        else:
+            typer.echo(analysis.to_text(brief=quiet), nl=False)
+        if output is not None:
+            for path in _write_reports(analysis, log, output, names, taken):
+                if not quiet:
+                    typer.echo(f"wrote {path}", err=True)
+        codes.append(_exit_code(analysis))
+    raise typer.Exit(_joint_exit_code(codes))
+
+
+app.command("analyze", hidden=True)(analyse)
+
+
+def _analysed(log: Path, config: Config, part: Part, step: object) -> Analysis:
+    from fdilog.analysis import analyse as analyse_log
+
+    try:
+        return analyse_log(log, config, part=part, progress=step)  # type: ignore[arg-type]
+    except MemoryError:
+        raise FdilogError(
+            f"{log}: not enough memory; look at a part of it with --from, --to"
+        ) from None
+
+
+def _settings(
+    config: Path | None, geometry: str, detectors: str, tolerance: float | None
+) -> Config:
+    """Merge the configuration file and the options that go before it."""
+    from fdilog.config import Config, load_config, read_geometry
+    from fdilog.registry import plugins
+
+    settings = load_config(config) if config else Config()
+    if geometry:
+        settings = read_geometry(settings, geometry)
+    if detectors:
+        settings = settings.replace("detectors", use=tuple(_names(detectors)))
+    for name in settings.detectors.use:
+        if name not in plugins("detectors"):
+            raise UsageError(f"no detector '{name}'{nearest(name, list(plugins('detectors')))}")
+    if tolerance is not None:
+        if not 0.0 < tolerance < float("inf"):
+            raise UsageError(f"--tolerance {tolerance:g} must be above zero")
+        settings = settings.replace("tolerance", bias_deg_s=tolerance)
+    return settings
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _part(from_s: float | None, to_s: float | None, *, armed: bool) -> Part:
+    from fdilog.analysis import Part
+
+    start = -float("inf") if from_s is None else from_s
+    end = float("inf") if to_s is None else to_s
+    if not start < end:
+        raise UsageError(f"--from {start:g} is not before --to {end:g}")
+    return Part(start_s=start, end_s=end, armed=armed)
+
+
+def _report_names(formats: str, output: Path | None) -> list[str]:
+    from fdilog.registry import plugin
+
+    if formats and output is None:
+        raise UsageError("--format needs a folder: add -o DIR")
+    names = _names(formats) or ["html", "md", "json"]
+    for name in names:
+        plugin("reports", name)
+    return names
+
+
+def _write_reports(
+    analysis: Analysis, log: Path, folder: Path, names: list[str], taken: set[str]
+) -> Iterator[Path]:
+    """Write one file per format, named after the log; two logs of one name get a number."""
+    from fdilog.registry import plugin
+
+    stem = "stdin" if str(log) == "-" else log.stem or log.name
+    number = 1
+    unique = stem
+    while unique.lower() in taken:
+        number += 1
+        unique = f"{stem}-{number}"
+    taken.add(unique.lower())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in names:
+            report = plugin("reports", name)
+            path = folder / f"{unique}{report.suffix}"
+            path.write_text(report.render(analysis), encoding="utf-8", newline="\n")
+            yield path
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FdilogError(f"{error.filename or folder}: cannot write: {reason}") from None
+
+
+def _error_json(log: Path, error: FdilogError) -> str:
+    from fdilog.analysis import SCHEMA
+
+    # ASCII only: a path may hold bytes that are no UTF-8.
+    return json.dumps(
+        {"schema": SCHEMA, "log": {"path": str(log)}, "error": str(error), "verdict": None},
+        separators=(",", ":"),
+    )
+
+
+def _exit_code(analysis: Analysis) -> ExitCode:
+    return {
+        "healthy": ExitCode.HEALTHY,
+        "failed": ExitCode.FAILED,
+        "undecided": ExitCode.UNDECIDED,
+        "insufficient": ExitCode.UNDECIDED,
+    }[analysis.verdict]
+
+
+def _joint_exit_code(codes: list[ExitCode]) -> ExitCode:
+    """Join the codes of several logs by the contract's rule; that of one log is its own."""
+    if all(code is ExitCode.NOTHING for code in codes):
+        return ExitCode.NOTHING
+    if ExitCode.FAILED in codes:
+        return ExitCode.FAILED
+    return ExitCode.HEALTHY if set(codes) == {ExitCode.HEALTHY} else ExitCode.UNDECIDED
+
+
+@contextmanager
+def _progress(log: Path, *, shown: bool) -> Iterator[object]:
+    """Show the present step on a terminal; on a pipe there is nobody to look."""
+    if not (shown and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(stderr=True)
+    with console.status(f"{escape(log.name)}") as status:
+        yield lambda step: status.update(f"{escape(log.name)}: {escape(step)}")
+
+
+@app.command()
+def inspect(logs: Logs, *, config: ConfigFile = None) -> None:
+    """List streams, gyro sources, gaps and problems, and the table that analyse would build."""
+    from fdilog.inspection import describe
+    from fdilog.registry import read
+
+    settings = _settings(config, "", "", None)
+    codes = []
+    for log in logs:
+        try:
+            recording = read(log, [source.topic for source in settings.sources.gyro])
+            typer.echo(describe(recording, settings), nl=False)
+            codes.append(ExitCode.HEALTHY)
+        except UsageError:
+            raise
+        except FdilogError as error:
+            _complain(str(error))
+            codes.append(ExitCode.NOTHING)
+    raise typer.Exit(_joint_exit_code(codes))
+
+
+@app.command()
+def export(
+    log: Annotated[Path, typer.Argument(metavar="LOG")],
+    *,
+    output: Output,
+    config: ConfigFile = None,
+    geometry: Annotated[str, typer.Option(metavar="NAME|FILE")] = "",
+) -> None:
+    """Write the channel table as .csv, .npz or .parquet; analyse reads .csv and .parquet back."""
+    from fdilog.export import write_table
+    from fdilog.registry import read
+    from fdilog.sources import channel_table
+
+    settings = _settings(config, geometry, "", None)
+    recording = read(log, [source.topic for source in settings.sources.gyro])
+    write_table(channel_table(recording, settings), output)
+
+
+@app.command("config")
+def show_config() -> None:
+    """Print the default configuration, with a reason on every key."""
+    from fdilog.config import default_toml
+
+    typer.echo(default_toml(), nl=False)
+
+
+@app.command("detectors")
+def list_detectors() -> None:
+    """List the installed detectors."""
+    _list_plugins("detectors")
+
+
+@app.command("readers")
+def list_readers() -> None:
+    """List the installed readers and the files they know."""
+    _list_plugins("readers")
+
+
+def _list_plugins(group: str) -> None:
+    from fdilog.registry import plugins
+
+    found = plugins(group)
+    width = max((len(name) for name in found), default=0)
+    for name, loaded in found.items():
+        suffixes = " ".join(getattr(loaded, "suffixes", ()))
+        typer.echo(f"{name:<{width}}  {loaded.description}{f' ({suffixes})' if suffixes else ''}")

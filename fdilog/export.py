@@ -1,0 +1,50 @@
+"""Writing a channel table to a file that other tools, and fdilog itself, can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fdilog.errors import FdilogError, UsageError
+from fdilog.table import ChannelTable
+
+SUFFIXES = (".csv", ".npz", ".parquet")
+
+
+def write_table(table: ChannelTable, path: Path) -> None:
+    """Write a table in the format that the suffix names.
+
+    A .csv or .parquet holds ``time_s`` and one column per channel in rad/s, empty where there is
+    no valid reading; a .npz the table's arrays, with names and axes.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is not one of `SUFFIXES`, or what it needs is not installed.
+    FdilogError
+        If the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UsageError(f"{path}: cannot write '{suffix}'; known: {', '.join(SUFFIXES)}")
+    try:
+        if suffix == ".npz":
+            np.savez_compressed(
+                path,
+                time_s=table.time_s,
+                rate_rad_s=table.rate_rad_s,
+                valid=table.valid,
+                axes=table.axes,
+                names=np.array(table.names),
+            )
+        elif suffix == ".csv":
+            table.to_pandas().to_csv(path, lineterminator="\n")
+        else:
+            table.to_pandas().reset_index().to_parquet(path, index=False)
+    except ImportError as error:
+        raise UsageError(f"{path}: needs pyarrow: pip install 'fdilog[parquet]'") from error
+    except OSError as error:
+        raise FdilogError(
+            f"{path}: cannot write: {(error.strerror or str(error)).lower()}"
+        ) from error
