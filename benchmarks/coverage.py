@@ -163,10 +163,12 @@ def speed() -> None:
         total = 0.0
         for n in (20, 200, 1000, 6000, 12_000):
             windows = np.lib.stride_tricks.sliding_window_view(x, n, axis=0)[:: n // 2]
-            start = time.perf_counter()
-            answer = windowed_mean(np.moveaxis(windows, 2, 1))
-            student_quantile(answer.dof, 0.999)
-            taken = time.perf_counter() - start
+            taken = np.inf
+            for _ in range(3):  # the best of three: other work on the machine only adds
+                start = time.perf_counter()
+                answer = windowed_mean(np.moveaxis(windows, 2, 1))
+                student_quantile(answer.dof, 0.999)
+                taken = min(taken, time.perf_counter() - start)
             total += taken
             print(f"{q} series, {len(windows)} windows of {n}: {taken:.3f} s")
         print(f"{q} series, one hour at 200 Hz, all lengths: {total:.2f} s")
