@@ -15,6 +15,8 @@ MOST_DESCENTS = 1000
 # A clock that restarts is placed this long after what came before: the true pause is unknown,
 # and no window may bridge it.
 RESTART_PAUSE_NS = 60_000_000_000
+# Beyond this no stamp is placed: 146 years of nanoseconds, half of what 64 bits hold.
+LATEST_NS = 2**62
 # Steps of several periods are a hole; single lost records are not.
 HOLE_PERIODS = 5.0
 
@@ -62,8 +64,11 @@ def clean_stamps(stamps: Sequence[Times]) -> list[CleanStamps]:
             if k < len(parts)
         ]
         first = min(int(stretch[0]) for stretch in stretches)
-        shifts.append(0 if end is None else end + RESTART_PAUSE_NS - first)
-        end = shifts[-1] + max(int(stretch[-1]) for stretch in stretches)
+        shift = 0 if end is None else end + RESTART_PAUSE_NS - first
+        end = shift + max(int(stretch[-1]) for stretch in stretches)
+        if k and end > LATEST_NS:
+            break  # stamps that no calendar holds; what follows is dropped as out of order
+        shifts.append(shift)
     return [
         _joined(time, parts, misplaced, shifts)
         for time, (parts, misplaced) in zip(stamps, pieces, strict=True)
@@ -75,7 +80,8 @@ def _joined(
 ) -> CleanStamps:
     keeps, times, restarts = [], [], []
     repeated = 0
-    for k, part in enumerate(parts):
+    misplaced += sum(len(part) for part in parts[len(shifts) :])
+    for k, part in enumerate(parts[: len(shifts)]):
         stretch = time[part]
         fresh = np.ones(len(part), bool)
         fresh[1:] = stretch[1:] > stretch[:-1]

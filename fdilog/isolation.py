@@ -113,23 +113,25 @@ def family_wise_confidence(config: Config, length_s: float, n_channels: int) -> 
 def noise_shares(moments: Moments) -> Floats:
     """Split the noise of the parity vector into variances of the single channels, (k,).
 
-    Solves ``V diag(s^2) V' = C`` for s^2 >= 0 in the least-squares sense, with C the median
-    covariance over windows: median, because a fault or a manoeuvre concerns few windows.
+    Solves ``G diag(s^2) G = V' C V`` for s^2 >= 0 in the least-squares sense, with C the covariance
+    of the parity vector, the median taken over windows: median, because a fault or a manoeuvre concerns few windows.
     Only ratios matter to the weights, so the result is scaled to a mean of one.
     """
     parity = moments.parity
     q, k = parity.shape
     known = moments.parity_mean.dof > 0
-    if q == 1 or not bool(known.any()):
+    projector = parity.T @ parity
+    upper = np.triu_indices(k)
+    design = np.array([np.outer(column, column)[upper] for column in projector.T]).T
+    if q == 1 or not bool(known.any()) or np.linalg.matrix_rank(design) < k:
         return np.ones(k)
     from scipy.optimize import nnls
 
-    median = np.median(moments.parity_mean.covariance[known], axis=0)
-    upper = np.triu_indices(q)
-    design = np.array([np.outer(column, column)[upper] for column in parity.T]).T
-    target = median[upper]
+    # In the space of the channels the median does not depend on the basis of the parity space.
+    covariance = parity.T @ moments.parity_mean.covariance[known] @ parity
+    target = np.median(covariance, axis=0)[upper]
     scale = float(np.abs(target).max())
-    if scale == 0.0 or np.linalg.matrix_rank(design) < k:
+    if scale == 0.0:
         return np.ones(k)
     solution: Floats = nnls(design, target / scale)[0]
     variance: Floats = np.maximum(solution, LEAST_VARIANCE_SHARE * solution.max())
