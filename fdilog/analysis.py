@@ -228,16 +228,22 @@ def judge(
     )
     alone: list[Evidence] = []
     for name, detector in chosen:
-        if detector.alone:
+        if detector.stage == "alone":
             progress(name)
             alone.extend(detector.detect(whole))
     heard = without(table, alone)
     sound, calibration = calibrate(heard, config)
     compared: list[Evidence] = []
+    each = np.arange(len(sound.time_s))
+    for name, detector in chosen:
+        if detector.stage == "samples":
+            progress(f"{name}, every sample")
+            windows = spans(heard, each, each + 1)
+            compared.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
     for windows in cut(sound, config):
         survey = Survey(table=sound, windows=windows, config=config)
         for name, detector in chosen:
-            if not detector.alone:
+            if detector.stage == "windows":
                 progress(f"{name}, {windows.length_s:g} s windows")
                 compared.extend(detector.detect(survey))
     findings = [

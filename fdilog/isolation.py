@@ -114,8 +114,8 @@ def noise_shares(moments: Moments) -> Floats:
     """Split the noise of the parity vector into variances of the single channels, (k,).
 
     Solves ``G diag(s^2) G = V' C V`` for s^2 >= 0 in the least-squares sense, with C the covariance
-    of the parity vector, the median taken over windows: median, because a fault or a manoeuvre concerns few windows.
-    Only ratios matter to the weights, so the result is scaled to a mean of one.
+    of the parity vector. The right side is the median over windows, because a fault or a manoeuvre
+    concerns few of them. Only ratios matter to the weights, so the result is scaled to a mean of one.
     """
     parity = moments.parity
     q, k = parity.shape

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from fdilog.errors import UnreadableLogError, UsageError, nearest
 
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from fdilog.windows import Survey
 
 HEAD_BYTES = 4096
+
+Stage = Literal["alone", "samples", "windows"]
+"""What a detector is shown: the whole table, to judge each channel by itself, before the others are
+compared; every sample as a window of its own; or the windows of each configured length."""
 
 
 class Reader(Protocol):
@@ -43,7 +47,7 @@ class Detector(Protocol):
     """A frozen dataclass of settings; its entry-point name is the word in CLI and report."""
 
     description: str
-    alone: bool  # judges each channel by itself; asked before those that compare
+    stage: Stage
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Answer for every window of the survey that this method can say anything about."""

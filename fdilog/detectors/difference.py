@@ -26,6 +26,7 @@ from fdilog.geometry import (
     leave_one_out,
 )
 from fdilog.isolation import Answer, comparative_evidence, compare, family_wise_confidence
+from fdilog.registry import Stage
 from fdilog.windows import Moments, Survey
 
 TOLERANCE_SIGMAS = 3.0
@@ -157,7 +158,7 @@ class DifferenceDetector:
     """Bias of the channel that differs most from its prediction, found one after the other."""
 
     description: ClassVar[str] = "leave-one-out difference, largest first [Triads, search 4]"
-    alone: ClassVar[bool] = False
+    stage: ClassVar[Stage] = "windows"
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Name the channel with the largest difference, strike it out, and look again."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
+from fdilog.registry import Stage
 from fdilog.table import ChannelTable
 from fdilog.windows import Survey, spans
 
@@ -21,7 +22,7 @@ class DropoutDetector:
     """Silences of one source, after its first reading, while another source is recorded."""
 
     description: ClassVar[str] = "one source silent while others go on"
-    alone: ClassVar[bool] = True
+    stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Give one window for every silence that is longer than ``tolerance.dropout_s``."""

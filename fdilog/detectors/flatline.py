@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence, Kind
+from fdilog.registry import Stage
 from fdilog.table import ChannelTable
 from fdilog.windows import Survey, spans, stretches
 
@@ -69,7 +70,7 @@ class FlatlineDetector:
     """Stuck and dead channels, each judged by itself."""
 
     description: ClassVar[str] = "a value repeated beyond what quantisation explains: stuck, dead"
-    alone: ClassVar[bool] = True
+    stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Give one window for every run that no quantisation explains."""

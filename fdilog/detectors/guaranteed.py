@@ -44,6 +44,10 @@ functionals of one channel (22 rows for six skewed gyros) fit a second-level cac
 power of two, or all rows would compete for the same places in that cache."""
 
 
+SERIAL_PRODUCT = 2**18
+"""Multiplications above which OpenBLAS may start threads; on small matrices they mostly wait for
+one another, and on a busy machine they cost tenfold."""
+
 _UNBOUNDED = np.array(np.inf)
 
 _Terms = list[tuple[int, list[int]]]
@@ -72,7 +76,7 @@ class _Plan:
 
     relations: Floats  # (n_circuits, n)
     limits: Floats  # (n_circuits,), s . |c|
-    checks: NDArray[np.float32]  # (n_subsets, n_circuits), 1 where the circuit must hold
+    subsets: list[NDArray[np.intp]]  # for each circuit, the subsets that need it to hold
     targets: list[_Target]
     widest: int  # rows of the target with most of them
 
@@ -190,7 +194,7 @@ def _plan(axes_bytes: bytes, bound_bytes: bytes, n_channels: int, max_failures: 
     return _Plan(
         relations=relations,
         limits=_weighted(np.abs(relations), bound),
-        checks=(~_overlap(struck, inside)).astype(np.float32),
+        subsets=[np.flatnonzero(row) for row in ~_overlap(inside, struck)],
         targets=targets,
         widest=max(len(target.rows) for target in targets),
     )
@@ -252,16 +256,19 @@ class _Workspace:
         plan, z = self.plan, self.readings[:-1]
         if not len(plan.relations):
             return
-        residuals = np.matmul(plan.relations, z, out=self.residuals)
+        residuals = self.residuals
+        _product(plan.relations, z, out=residuals)
         np.abs(residuals, out=residuals)
         for channel, infinite in self.missing.items():
             through = plan.relations[:, channel] != 0.0
             residuals[through] = np.minimum(residuals[through], -infinite)
         if (residuals.max(axis=1) <= plan.limits).all():
             return
-        sizes = (plan.relations != 0.0).astype(float) @ np.abs(z)
-        failed = ~(residuals <= plan.limits[:, None] + ROUNDING * sizes)
-        np.equal(plan.checks @ failed.astype(np.float32), 0.0, out=feasible)
+        sizes = np.empty_like(residuals)
+        _product((plan.relations != 0.0).astype(float), np.abs(z), out=sizes)
+        holds = residuals <= plan.limits[:, None] + ROUNDING * sizes
+        for circuit in np.flatnonzero(~np.logical_and.reduce(holds, axis=1)).tolist():
+            feasible[plan.subsets[circuit]] &= holds[circuit]
 
     def bound(self, feasible: NDArray[np.bool_], low: Floats, high: Floats) -> None:
         """Write the bounds of all channels."""
@@ -289,7 +296,7 @@ class _Workspace:
         """Upper and negated lower bound (2, length) of one channel's true reading."""
         count = len(target.functionals)
         rows = self.buffer[: 2 * count * self.length].reshape(2 * count, self.length)
-        np.matmul(target.rows, self.readings, out=rows)
+        _product(target.rows, self.readings, out=rows)
         slots = self.slots[:count]
         for gone, infinite in self.missing.items():
             for slot in np.flatnonzero(target.functionals[:, gone]).tolist():
@@ -316,6 +323,14 @@ class _Workspace:
             _greatest(few, kept, few_caps, best=other, spare=spare)
             best[:, short] = np.maximum(best[:, short], np.minimum(other, few[-1]))
         return best
+
+
+def _product(matrix: Floats, columns: Floats, *, out: Floats) -> None:
+    """Multiply in strips of columns so narrow that no threads are started."""
+    width = max(1, SERIAL_PRODUCT // matrix.size)
+    for start in range(0, columns.shape[1], width):
+        strip = slice(start, start + width)
+        np.matmul(matrix, columns[:, strip], out=out[:, strip])
 
 
 def _greatest(

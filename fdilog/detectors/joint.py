@@ -28,7 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 from fdilog.geometry import Floats, checked_axes, residual_projector
 
 UNSEEN = 1e-9
-"""Information smaller than this, relative to the largest of its hypothesis, is rounding."""
+"""Information on a parameter, relative to its healthy spread, that is as good as none."""
+
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+"""Share of the largest information in a window that rounding may leave where there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,26 +90,23 @@ def _information(
 
 
 def _explained(
-    matrix: Floats, vector: Floats, failed: NDArray[np.intp]
+    matrix: Floats, vector: Floats, floor: Floats, failed: NDArray[np.intp]
 ) -> tuple[Floats, Floats, Floats]:
     """Maximum of ``2 v'x - x'Mx`` over the parameters of the failed channels, for each hypothesis.
 
     `failed` (n_hypotheses, n_parameters) picks them out of M and v. Gives the maximum
     (n_windows, n_hypotheses), the x that attains it and its variances, both
-    (n_windows, n_hypotheses, n_parameters). Directions of x that the window does not show have no
-    part in the maximum; the variance of a parameter with a part in them is infinite.
+    (n_windows, n_hypotheses, n_parameters). Directions of x on which there is less information
+    than `floor` (n_windows,) have no part in the maximum; the variance of a parameter with a part
+    in them is infinite.
     """
-    part = matrix[:, failed[:, :, None], failed[:, None, :]]
-    # Bias and scale have different units: compare information only after bringing both to one.
-    size = np.sqrt(np.diagonal(part, axis1=-2, axis2=-1))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(part / size[..., :, None] / size[..., None, :])
-    seen = values > UNSEEN
+    values, vectors = np.linalg.eigh(matrix[:, failed[:, :, None], failed[:, None, :]])
+    seen = values > floor[:, None, None]
     inverse = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    along = np.einsum("whij,whi->whj", vectors, vector[:, failed] / size)
+    along = np.einsum("whij,whi->whj", vectors, vector[:, failed])
     maximum = (along**2 * inverse).sum(axis=-1)
-    at = np.einsum("whij,whj->whi", vectors, along * inverse) / size
-    variance = np.einsum("whij,whj->whi", vectors**2, inverse) / size**2
+    at = np.einsum("whij,whj->whi", vectors, along * inverse)
+    variance = np.einsum("whij,whj->whi", vectors**2, inverse)
     blind = np.einsum("whij,whj->whi", vectors**2, (~seen).astype(np.float64)) > UNSEEN
     return maximum, at, np.where(blind, np.inf, variance)
 
@@ -168,6 +168,7 @@ def joint_test(
     # In units of the healthy spread the prior is the identity and I + M is symmetric.
     spread = np.repeat([bias_sigma, scale_sigma], n)
     matrix = matrix * np.outer(spread, spread)
+    floor = UNSEEN + ROUNDING * np.diagonal(matrix, axis1=1, axis2=2).max(axis=1)
     solved = np.linalg.solve(
         np.eye(2 * n) + matrix, np.concatenate([matrix, (vector * spread)[..., None]], axis=2)
     )
@@ -176,17 +177,21 @@ def joint_test(
 
     pairs = np.array(list(itertools.combinations(range(n), 2)), dtype=np.intp).reshape(-1, 2)
     channels = np.arange(n)[:, None]
-    single, error, variance = _explained(matrix, vector, np.hstack([channels, channels + n]))
-    double, _, _ = _explained(matrix, vector, np.hstack([pairs, pairs + n]))
+    single, error, variance = _explained(matrix, vector, floor, np.hstack([channels, channels + n]))
+    double, _, _ = _explained(matrix, vector, floor, np.hstack([pairs, pairs + n]))
     # The covariance C counts the healthy spread of the channel itself; its error is sought whole.
-    variance = np.maximum(variance - 1.0, 0.0)
-    unit = np.array([bias_sigma, scale_sigma])
+    deviation = np.sqrt(np.maximum(variance - 1.0, 0.0)) * np.array([bias_sigma, scale_sigma])
+    error = error * np.array([bias_sigma, scale_sigma])
+    # A failed channel pulls the estimated reading along by its leverage P_ii, which is therefore
+    # x + P_ii (b + k x): what was fitted to it is k / (1 + P_ii k), and b in proportion.
+    leverage = 1.0 - np.diag(residual_projector(directions / noise[:, None]))
+    stretch = 1.0 / np.maximum(1.0 - leverage * error[..., 1], UNSEEN)
     return JointEvidence(
         single=single,
         double=double,
         pairs=pairs,
-        error=error * unit,
-        error_sigma=np.sqrt(variance) * unit,
+        error=error * stretch[..., None],
+        error_sigma=deviation * np.stack([stretch, stretch**2], axis=-1),
     )
 
 

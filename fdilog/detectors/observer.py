@@ -198,11 +198,18 @@ def observer_residual(
     Raises
     ------
     ValueError
-        If shapes do not fit, or a value is not finite: split the record at its gaps.
+        If shapes do not fit, a value is not finite (split the record at its gaps), or the observer
+        is not stable at this sampling interval.
+
+    Notes
+    -----
+    The residual is held over each step: ``x^_k+1 = F x^_k + g u_k + G K (y_k - C x^_k)`` with
+    F = exp(A step), G the integral of exp(A t). So a healthy record leaves none, however coarse the
+    sampling, and that of a constant fault settles exactly on its line, since F - 1 = G A.
 
     References
     ----------
-    [Observer24], observer equation; the step is exact for y and u held over it.
+    [Observer24], observer equation.
     """
     a, b, c = _matrices(dynamics, inputs, outputs)
     k = np.asarray(gain, dtype=np.float64)
@@ -214,7 +221,10 @@ def observer_residual(
         raise ValueError("an observer cannot cross a gap: split the record at values not finite")
     if not len(y):
         return y
-    step, held = held_step(a - k @ c, np.hstack([b, k]), step_s)
+    free, held = held_step(a, np.hstack([b, k]), step_s)
+    step = free - held[:, b.shape[1] :] @ c
+    if np.abs(np.linalg.eigvals(step)).max() > 1.0 + RANK_TOLERANCE:
+        raise ValueError(f"the observer is not stable at a sampling interval of {step_s} s")
     drive = np.hstack([u, y])[:-1] @ held.T
     estimate = propagate(step, drive, np.linalg.pinv(c) @ y[0])
     residual: Floats = y - estimate @ c.T

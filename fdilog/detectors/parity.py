@@ -23,6 +23,7 @@ from fdilog.geometry import (
     parity_matrix_qr,
 )
 from fdilog.isolation import comparative_evidence, isolate
+from fdilog.registry import Stage
 from fdilog.windows import Survey
 
 
@@ -73,7 +74,7 @@ class ParityDetector:
     """Bias of any set of channels that the redundancy can tell, by joint tests in parity space."""
 
     description: ClassVar[str] = "parity space, joint hypotheses of one or two failures [Larin15]"
-    alone: ClassVar[bool] = False
+    stage: ClassVar[Stage] = "windows"
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Give an interval for every channel's error, and the smallest sets that explain it."""
