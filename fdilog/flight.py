@@ -17,7 +17,8 @@ Floats = NDArray[np.float64]
 
 STAMP_NS = 1000
 """Stamps are whole microseconds, as autopilots write them."""
-FIRMWARE = "fdilog simulator"
+FIRMWARE = "fdilog simulator V1.0"
+"""Its number goes up when the same arguments begin to give another flight."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

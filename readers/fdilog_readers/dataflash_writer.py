@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
+from fdilog.sources import choose
 from fdilog_readers.dataflash_layout import FIELDS, FMT, HEADER, MAGIC, Layout
 from fdilog_readers.dataflash_patch import patch
 
@@ -82,15 +84,17 @@ CENTIDEGREE_RAD = np.pi / 18_000.0
 def write(recording: Recording, path: Path) -> None:
     """Write a recording's gyros, accelerometers, attitude and armed spans as a DataFlash log.
 
-    Stamps are whole microseconds and readings single precision there. A stream with ``roll``,
-    ``pitch`` and ``yaw`` in radians becomes ATT.
+    Stamps are whole microseconds and readings single precision there. Of each sensor the stream
+    is written that an analysis would use; one with ``roll``, ``pitch`` and ``yaw`` becomes ATT.
 
     Raises
     ------
+    NoGyroError
+        If there is no gyro.
     UsageError
         If a source does not have the three gyros x, y, z that an IMU record holds.
     """
-    imus = [stream for stream in recording.streams if stream.gyro and stream.origin == "sensor"]
+    imus = [gyro.stream for gyro in choose(recording, Config())[0]]
     numbers = _numbers(imus)
     parts = [_imu(stream, number) for stream, number in zip(imus, numbers, strict=True)]
     parts += [_attitude(stream) for stream in recording.streams if _angles(stream)]
@@ -135,7 +139,8 @@ def _description(recording: Recording, numbers: list[int], start_us: int) -> lis
     values = PARAMETER.records(
         len(parameters), TimeUS=start_us, Name=list(parameters), Value=list(parameters.values())
     )
-    lines = [text.encode() for text in (recording.vehicle or {}).values()]
+    told = recording.vehicle or {}
+    lines = [told[fact].encode() for fact in ("firmware", "board") if fact in told]
     messages = MESSAGE.records(len(lines), TimeUS=start_us, Message=lines or b"")
     return [formats, units, multipliers, meanings, values, messages]
 
@@ -144,10 +149,7 @@ def _numbers(imus: list[Stream]) -> list[int]:
     """Give each source its instance: its own number, or the next that is free."""
     taken = {stream.sensor for stream in imus}
     free = (k for k in range(256) if k not in taken)
-    numbers = [next(free) if stream.sensor is None else stream.sensor for stream in imus]
-    if len(set(numbers)) < len(numbers):
-        raise UsageError("two streams are one and the same sensor: a DataFlash log holds it once")
-    return numbers
+    return [next(free) if stream.sensor is None else stream.sensor for stream in imus]
 
 
 def _imu(stream: Stream, number: int) -> NDArray[Any]:

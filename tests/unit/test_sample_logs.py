@@ -1,0 +1,90 @@
+"""The sample logs are what their script makes, and hold the faults that their table promises."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fdilog.config import Config
+from fdilog.faults import Fault
+from fdilog.registry import read
+from fdilog.sources import choose
+
+KILOBYTE = 1000
+
+
+@pytest.fixture(scope="module")
+def script(sample_logs: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_samples", sample_logs / "make.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def truth(sample_logs: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((sample_logs / "truth.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_the_script_makes_the_same_bytes_again(
+    script: ModuleType, sample_logs: Path, tmp_path: Path
+) -> None:
+    script.main(tmp_path)
+    for made in tmp_path.iterdir():
+        assert made.read_bytes() == (sample_logs / made.name).read_bytes(), made.name
+
+
+def test_every_log_is_small_and_has_its_truth_and_its_line(
+    sample_logs: Path, truth: dict[str, Any]
+) -> None:
+    table = (sample_logs / "README.md").read_text(encoding="utf-8")
+    logs = {path.name for path in sample_logs.iterdir() if path.suffix in {".bin", ".csv"}}
+    assert logs <= set(truth)
+    sizes = {name: (sample_logs / name).stat().st_size for name in truth}
+    assert max(sizes.values()) < 1000 * KILOBYTE
+    assert sum(sizes.values()) < 10_000 * KILOBYTE
+    assert all(f"| `{name}` |" in table for name in truth)
+
+
+def test_channels_of_the_truth_are_those_of_the_logs(
+    sample_logs: Path, truth: dict[str, Any]
+) -> None:
+    for name, said in truth.items():
+        gyros, _ = choose(read(sample_logs / name), Config())
+        channels = {channel for gyro in gyros for channel in gyro.channel_names}
+        assert {channel for source in said["sources"] for channel in source["channels"]} == channels
+        assert {channel for suspects in said["suspects"] for channel in suspects} <= channels
+        faults = [Fault.from_dict(fault) for fault in said["faults"]]
+        assert bool(faults) == (said["verdict"] == "failed")
+
+
+def test_the_biased_gyro_reads_three_degrees_per_second_too_much(sample_logs: Path) -> None:
+    gyros, _ = choose(read(sample_logs / "three_imus_bias.bin"), Config())
+    first, second, third = (gyro.rate_rad_s[:, 1] for gyro in gyros)
+    apart = np.degrees(second - (first + third) / 2)
+    time_s = (gyros[0].time_ns - gyros[0].time_ns[0]) / 1e9
+    inside = (time_s >= 40.0) & (time_s <= 60.0)
+    assert apart[inside].mean() - apart[~inside].mean() == pytest.approx(3.0, abs=0.2)
+
+
+def test_the_cut_log_ends_in_the_middle_of_a_record(sample_logs: Path) -> None:
+    recording = read(sample_logs / "cut.bin")
+    assert any("incomplete" in problem.what and problem.note for problem in recording.problems)
+    assert all(problem.note for problem in recording.problems)
+
+
+def test_the_damaged_log_has_lost_bytes(sample_logs: Path) -> None:
+    recording = read(sample_logs / "damaged.bin")
+    lost = [problem for problem in recording.problems if not problem.note]
+    assert sum(problem.bytes_lost or 0 for problem in lost) >= 500
