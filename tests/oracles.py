@@ -2,6 +2,7 @@
 
 Many small programs are stacked into one block-diagonal program: they share neither variables nor
 constraints, so each is solved exactly as alone, some fifteen times faster than one at a time.
+Random instances to compare on are here too, for the tests and the benchmark.
 """
 
 from __future__ import annotations
@@ -17,6 +18,38 @@ Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+
+
+SCALE = 100.0
+"""Size of the rotation rates in random instances."""
+
+EDGE = 1e-6
+"""Share of the scale: what is nearer to the edge of feasibility, a solver's tolerance decides."""
+
+
+def skewed_axes(rng: np.random.Generator, n_channels: int) -> Floats:
+    axes: Floats = rng.normal(size=(n_channels, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    return axes
+
+
+def aligned_axes(rng: np.random.Generator, n_channels: int) -> Floats:
+    """Axes of triads mounted alike, in any attitude and order; some triads incomplete."""
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    axes: Floats = rotation[rng.permutation(np.arange(n_channels) % 3)]
+    return axes
+
+
+def random_instance(
+    rng: np.random.Generator, n_channels: int, *, aligned: bool
+) -> tuple[Floats, Floats, Floats, int]:
+    """Readings (n,), axes, bounds and failures allowed; at times more channels fail than that."""
+    axes = (aligned_axes if aligned else skewed_axes)(rng, n_channels)
+    bound = rng.uniform(0.5, 2.0, n_channels)
+    errors = rng.uniform(-1.0, 1.0, n_channels) * bound
+    failed = rng.permutation(n_channels)[: rng.integers(0, 4)]
+    errors[failed] += rng.normal(0.0, 10.0, len(failed))
+    return axes @ rng.normal(0.0, SCALE, 3) + errors, axes, bound, int(rng.integers(1, 3))
 
 
 def solve_apart(programs: list[tuple[Floats, Floats, Floats]]) -> list[Floats]:

@@ -12,45 +12,16 @@ from scipy.optimize import linprog
 from fdilog.circuits import find_circuits
 from fdilog.detectors.guaranteed import BLOCK, guaranteed_intervals
 from fdilog.geometry import named_axes
-from tests.oracles import guaranteed_by_programs, slabs
+from tests.oracles import EDGE, SCALE, guaranteed_by_programs, random_instance, skewed_axes, slabs
 
 Floats = NDArray[np.float64]
 
 INSTANCES = 100
-SCALE = 100.0
-"""Size of the readings in the random instances."""
-EDGE = 1e-6 * SCALE
-"""Instances so near the edge of feasibility are set aside: a solver's tolerance decides them."""
-
-
-def skewed_axes(rng: np.random.Generator, n_channels: int) -> Floats:
-    axes: Floats = rng.normal(size=(n_channels, 3))
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    return axes
-
-
-def aligned_axes(rng: np.random.Generator, n_channels: int) -> Floats:
-    """Axes of triads mounted alike, in any attitude and order; some triads incomplete."""
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    axes: Floats = rotation[rng.permutation(np.arange(n_channels) % 3)]
-    return axes
 
 
 def assert_same(ours: Floats, programs: Floats) -> None:
     """Agree to 1e-9 of the readings, or of an end that nearly coplanar axes put far beyond them."""
     np.testing.assert_allclose(ours, programs, rtol=1e-9, atol=1e-9 * SCALE)
-
-
-def instance(
-    rng: np.random.Generator, n_channels: int, *, aligned: bool
-) -> tuple[Floats, Floats, Floats, int]:
-    """Readings, axes, bounds and failures allowed; sometimes more channels fail than that."""
-    axes = (aligned_axes if aligned else skewed_axes)(rng, n_channels)
-    bound = rng.uniform(0.5, 2.0, n_channels)
-    errors = rng.uniform(-1.0, 1.0, n_channels) * bound
-    failed = rng.permutation(n_channels)[: rng.integers(0, 4)]
-    errors[failed] += rng.normal(0.0, 10.0, len(failed))
-    return axes @ rng.normal(0.0, SCALE, 3) + errors, axes, bound, int(rng.integers(1, 3))
 
 
 @pytest.mark.parametrize("aligned", [False, True], ids=["skewed", "aligned"])
@@ -59,11 +30,11 @@ def test_intervals_are_those_of_the_linear_programs(n_channels: int, *, aligned:
     rng = np.random.default_rng(1000 * n_channels + aligned)
     compared = infeasible = unbounded = 0
     for _ in range(INSTANCES):
-        z, axes, bound, k = instance(rng, n_channels, aligned=aligned)
+        z, axes, bound, k = random_instance(rng, n_channels, aligned=aligned)
         # All channels where there are few; of many, three drawn anew each time, to save time.
         targets = rng.permutation(n_channels)[: 6 if n_channels <= 6 else 3]
         low, high, feasible, edge = guaranteed_by_programs(z, axes, bound, k, targets.tolist())
-        if edge < EDGE:
+        if edge < EDGE * SCALE:
             continue
         ours = guaranteed_intervals(z[None], axes, bound, k)
         np.testing.assert_array_equal(ours[2][0], feasible)
@@ -83,7 +54,7 @@ def test_intervals_are_those_of_the_linear_programs(n_channels: int, *, aligned:
 def test_no_and_many_failures_are_those_of_the_linear_programs(n_channels: int) -> None:
     rng = np.random.default_rng(n_channels)
     for k in (0, 3, n_channels - 1, n_channels):
-        z, axes, bound, _ = instance(rng, n_channels, aligned=False)
+        z, axes, bound, _ = random_instance(rng, n_channels, aligned=False)
         low, high, feasible, _ = guaranteed_by_programs(z, axes, bound, k)
         ours = guaranteed_intervals(z[None], axes, bound, k)
         np.testing.assert_array_equal(ours[2][0], feasible)
@@ -93,7 +64,7 @@ def test_no_and_many_failures_are_those_of_the_linear_programs(n_channels: int) 
 
 def test_a_subset_said_feasible_has_a_rate_and_one_said_infeasible_has_none() -> None:
     rng = np.random.default_rng(5)
-    z, axes, bound, _ = instance(rng, 6, aligned=False)
+    z, axes, bound, _ = random_instance(rng, 6, aligned=False)
     z[4] += 20.0
     _, _, feasible = guaranteed_intervals(z[None], axes, bound, 2)
     for subset, good in zip(combinations(range(6), 2), feasible[0], strict=True):
@@ -128,7 +99,7 @@ def test_one_failure_in_two_aligned_triads_leaves_both_of_a_pair_in_question() -
 
 def test_four_channels_with_two_failures_say_nothing() -> None:
     rng = np.random.default_rng(0)
-    z, axes, bound, _ = instance(rng, 4, aligned=False)
+    z, axes, bound, _ = random_instance(rng, 4, aligned=False)
     low, high, feasible = guaranteed_intervals(z[None], axes, bound, 2)
     assert feasible.all()
     assert (low == -np.inf).all()
@@ -155,7 +126,7 @@ def test_more_failures_than_channels_leave_everything_open() -> None:
 def test_a_missing_channel_is_a_channel_without_a_bound(*, aligned: bool) -> None:
     rng = np.random.default_rng(3)
     for n_channels in (4, 6, 9):
-        z, axes, bound, k = instance(rng, n_channels, aligned=aligned)
+        z, axes, bound, k = random_instance(rng, n_channels, aligned=aligned)
         samples = np.tile(z, (40, 1))
         missing = rng.random(samples.shape) < 0.25
         ours = guaranteed_intervals(np.where(missing, np.nan, samples), axes, bound, k)
@@ -169,12 +140,12 @@ def test_a_missing_channel_is_a_channel_without_a_bound(*, aligned: bool) -> Non
 def test_a_missing_channel_is_bounded_by_the_others_as_the_linear_programs_say() -> None:
     rng = np.random.default_rng(8)
     for _ in range(10):
-        z, axes, bound, _ = instance(rng, 6, aligned=False)
+        z, axes, bound, _ = random_instance(rng, 6, aligned=False)
         gone = int(rng.integers(6))
         loose = bound.copy()
         loose[gone] = 1e6  # as good as none, and a linear program can have it
         low, high, feasible, edge = guaranteed_by_programs(z, axes, loose, 1)
-        if edge < EDGE:
+        if edge < EDGE * SCALE:
             continue
         z[gone] = np.nan
         ours = guaranteed_intervals(z[None], axes, bound, 1)
