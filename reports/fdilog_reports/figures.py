@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 WIDE, HIGH = 1000, 100
 BINS = 500
 """Columns of a decimated line, two points in each: as many as there are dots on a screen."""
+KNEE = 2.0
+"""Multiple of the tolerance up to which rates are drawn to a linear scale."""
 LEAST_WIDTH = 3.0
 """Narrowest shading of a finding, of `WIDE`: an impulse must not vanish."""
 
@@ -87,27 +89,40 @@ class TimeAxis:
 
 @dataclass(frozen=True, kw_only=True)
 class RateAxis:
-    """Rates from bottom to top: linear within the tolerance, logarithmic beyond.
+    """Rates from bottom to top: linear up to twice the tolerance, logarithmic beyond.
 
-    So the tolerance can be seen beside a peak a thousand times as large.
+    So the tolerance and what lies about it can be read beside a peak a thousand times as large.
+
+    Parameters
+    ----------
+    tolerance, top
+        What a failure is held against, and the largest rate to be drawn. [deg/s]
     """
 
     tolerance: float
     top: float
 
+    @property
+    def _knee(self) -> float:
+        return KNEE * self.tolerance
+
     def y(self, rate: Floats | float) -> Floats:
         """Place rates [deg/s] between 0 (the largest) and `HIGH`."""
-        share = np.arcsinh(np.asarray(rate, float) / self.tolerance)
-        return HIGH / 2.0 * (1.0 - share / math.asinh(self.top / self.tolerance))
+        size = np.abs(np.asarray(rate, float))
+        if self.top <= KNEE * self._knee:
+            share = size / self.top
+        else:
+            far = np.log(np.maximum(size, self._knee) / self._knee)
+            share = 0.5 * np.minimum(size / self._knee, 1.0)
+            share += 0.5 * far / math.log(self.top / self._knee)
+        placed: Floats = HIGH / 2.0 * (1.0 - np.copysign(share, rate))
+        return placed
 
     def ticks(self) -> tuple[Tick, ...]:
         """Zero, the tolerance and round multiples of it, thinned so that words keep apart."""
-        least = 13.0  # percent of the height that a line of small print takes
-        decades = [factor * 10.0**power for power in range(12) for factor in (1, 2, 5)]
+        least = 12.0  # percent of the height that a line of small print takes
         rates, last = [0.0], HIGH / 2.0
-        # Powers of ten where they fill the height, finer steps where the range is small.
-        few = self.top < 50.0 * self.tolerance
-        for multiple in decades if few else decades[::3]:
+        for multiple in (1.0, KNEE, *(10.0**power for power in range(1, 12))):
             at = float(self.y(self.tolerance * multiple))
             if at < 4.0:
                 break

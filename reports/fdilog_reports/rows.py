@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
-from fdilog.finding import Finding
+from fdilog.finding import SIZE_UNIT, Finding
 from fdilog.recording import Problem
 from fdilog.sources import SourceInfo
 from fdilog_reports import sentences
@@ -84,9 +84,9 @@ class SourceRow:
 class LossRow:
     """One problem of the log with its place."""
 
-    sort: str
-    place: str
     what: str
+    place: str
+    sort: str
     lost: str
 
 
@@ -105,11 +105,13 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
     tolerance = _tolerance(finding, analysis)
     when = flight_time(finding.start_s, finding.end_s)
     interval = f"{size.interval} {size.unit} ({size.confidence})" if size else ""
+    if finding.size and finding.size.low == finding.size.high:
+        interval = "exact"
     facts = [
         Fact(label="What", value=sentences.KIND_NAME[finding.kind]),
         Fact(
             label="Size" if finding.isolated else f"Size, if {shown(finding.suspects[0])}",
-            value=str(size) if size else "no size for this kind",
+            value=str(size or ("not bounded" if finding.kind in SIZE_UNIT else "")),
         ),
         Fact(label="Interval", value=interval),
         Fact(label="Tolerance", value=tolerance),
@@ -221,7 +223,7 @@ def loss_row(problem: Problem) -> LossRow:
     known = problem.bytes_lost or problem.seconds_lost
     return LossRow(
         sort="note" if problem.note else "loss",
-        place=place or "the log as a whole",
+        place=place,
         what=shown(problem.what, SHOWN_TEXT),
         lost=amount_lost(problem.bytes_lost, problem.seconds_lost).removesuffix(" lost")
         if known

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Finding, Size
+from fdilog_reports.residuals import intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
     between,
@@ -59,7 +60,7 @@ class PrintedSize:
 
     def __str__(self) -> str:
         """Return estimate and unit, as a table cell has it."""
-        return f"{self.estimate} {self.unit}"
+        return self.estimate if self.estimate == "unknown" else f"{self.estimate} {self.unit}"
 
 
 def printed_size(finding: Finding, *, flipped: bool = False) -> PrintedSize | None:
@@ -134,7 +135,11 @@ def _claim(finding: Finding, analysis: Analysis) -> str:
     flipped = finding.kind in {"bias", "drift", "impulse", "scale"} and negative(size)
     printed = printed_size(finding, flipped=flipped)
     amount = str(printed)
-    interval = f"({printed.confidence}: {printed.interval})" if printed else ""
+    interval = ""
+    if printed is not None and printed.estimate == "unknown":
+        amount = f"an unknown number of {printed.unit}"
+    if printed is not None and size.low != size.high:
+        interval = f" ({printed.confidence}: {printed.interval})"
     much, large = ("too little", "too small") if flipped else ("too much", "too large")
     up = "downwards" if flipped else "upwards"
     if not finding.isolated:  # the sign depends on which of them it is
@@ -149,12 +154,12 @@ def _claim(finding: Finding, analysis: Analysis) -> str:
 
 
 _CLAIM = {
-    "bias": "read {amount} {much} {interval}",
-    "drift": "drifted {up} by {amount} {interval}",
-    "scale": "read rates {amount} {large} {interval}",
-    "noise": "was {amount} as noisy as it should be {interval}",
-    "impulse": "jumped by {amount} {much} {interval}",
-    "dropout": "was silent for {amount} while others went on {interval}",
+    "bias": "read {amount} {much}{interval}",
+    "drift": "drifted {up} by {amount}{interval}",
+    "scale": "read rates {amount} {large}{interval}",
+    "noise": "was {amount} as noisy as it should be{interval}",
+    "impulse": "jumped {up} by {amount}{interval}",
+    "dropout": "was silent for {amount} while others went on{interval}",
     "stuck": "was stuck at one value",
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",
@@ -162,10 +167,10 @@ _CLAIM = {
     "disagreement": "disagreed with the others",
 }
 _CLAIM_OF_SEVERAL = {
-    "bias": "was wrong by {amount} {interval}",
-    "drift": "drifted by {amount} {interval}",
-    "scale": "read rates wrong by {amount} {interval}",
-    "impulse": "jumped by {amount} {interval}",
+    "bias": "was wrong by {amount}{interval}",
+    "drift": "drifted by {amount}{interval}",
+    "scale": "read rates wrong by {amount}{interval}",
+    "impulse": "jumped by {amount}{interval}",
 }
 _UNSIZED = {
     "bias": "read a wrong rate, by how much the log does not bound,",
@@ -217,16 +222,21 @@ def verdict_sentence(analysis: Analysis) -> str:
 
 
 def _failed(analysis: Analysis) -> str:
-    alone = list(dict.fromkeys(f.suspects[0] for f in analysis.findings if f.isolated))
+    alone: dict[str, list[str]] = {}
+    for finding in analysis.findings:
+        if finding.isolated:
+            kinds = alone.setdefault(finding.suspects[0], [])
+            kinds += [KIND_NAME[finding.kind]] if KIND_NAME[finding.kind] not in kinds else []
     groups = list(dict.fromkeys(f.suspects for f in analysis.findings if not f.isolated))
     if len(analysis.findings) == 1:
         return finding_sentence(analysis.findings[0], analysis)
     parts = []
-    if alone:
-        parts.append(f"{listed([shown(name) for name in alone])} failed")
+    for together in dict.fromkeys(tuple(kinds) for kinds in alone.values()):
+        names = [shown(name) for name, kinds in alone.items() if tuple(kinds) == together]
+        parts.append(f"{listed(names)} failed ({listed(together)})")
     if len(groups) == 1:
-        names = listed([shown(name) for name in groups[0]], "or")
-        parts.append(f"{names} failed, and this log cannot tell which")
+        names = [shown(name) for name in groups[0]]
+        parts.append(f"{listed(names, 'or')} failed, and this log cannot tell which")
     elif groups:
         parts.append(
             f"{'in' if alone else 'In'} each of {len(groups)} groups of channels one failed, and"
@@ -234,7 +244,7 @@ def _failed(analysis: Analysis) -> str:
         )
     if not parts:
         return "A gyro failed."
-    return f"{'; '.join(parts)} ({several(len(analysis.findings), 'finding')})."
+    return f"{'; '.join(parts)}: {several(len(analysis.findings), 'finding')}."
 
 
 def _why_nothing(analysis: Analysis) -> str:
@@ -267,7 +277,8 @@ def blind_spots(analysis: Analysis) -> list[str]:
     if alone:
         said.append(
             f"{listed(alone)}: nothing else in this log measures along"
-            f" {'its axis' if len(alone) == 1 else 'their axes'}, so a fault would not have shown."
+            f" {'its axis' if len(alone) == 1 else 'their axes'}, so a wrong rate would not have"
+            " shown."
         )
     untested = [
         shown(c.name)
@@ -282,6 +293,26 @@ def blind_spots(analysis: Analysis) -> list[str]:
             f"{listed(witnesses)} {'is' if len(witnesses) == 1 else 'are'} derived, not measured by"
             " a gyro of its own: a witness for faults that last seconds, blind to short ones."
         )
+    said += _sharpness(analysis)
     tolerance = figure(analysis.config.tolerance.bias_deg_s)
     said.append(f"Errors below the tolerance of {tolerance} deg/s are not called failures.")
+    return said
+
+
+def _sharpness(analysis: Analysis) -> list[str]:
+    """Say how far beyond the tolerance an error must be to show."""
+    widths: dict[float, list[float]] = {}
+    for column in range(len(analysis.table.channels)):
+        bars = intervals(analysis, column)
+        if bars is not None:
+            widths.setdefault(bars.length_s, []).append(DEG_PER_RAD * bars.median_half_width)
+    said = []
+    for length_s, values in sorted(widths.items()):
+        least, most = figure(min(values), 2), figure(max(values), 2)
+        range_ = f"{least} deg/s" if least == most else f"{least} to {most} deg/s, by channel"
+        said.append(
+            f"Over {figure(length_s)} s a channel's error is known to within {range_} (median"
+            " half-width of its intervals); an error that lasts so long shows only if it exceeds"
+            " the tolerance by as much."
+        )
     return said

@@ -112,6 +112,10 @@ def report(analysis: Analysis) -> Report:
             Fact(label="Log", value=shown(log.path, SHOWN_TEXT)),
             Fact(label="SHA-256 of the log", value=shown(log.sha256, SHOWN_TEXT)),
             Fact(label="SHA-256 of the configuration", value=analysis.config.sha256),
+            *(
+                Fact(label=shown(key).capitalize(), value=shown(value, SHOWN_TEXT))
+                for key, value in (log.vehicle or {}).items()
+            ),
             Fact(label="fdilog", value=fdilog.__version__),
             Fact(
                 label="Detectors",
@@ -172,8 +176,7 @@ def _facts(analysis: Analysis) -> tuple[Fact, ...]:
         Fact(label="Log", value=f"{shown(log.format)}, {size_of(log.bytes)}"),
     ]
     if log.vehicle:
-        said = ", ".join(f"{shown(key)} {shown(value)}" for key, value in log.vehicle.items())
-        facts.append(Fact(label="Vehicle", value=shown(said, SHOWN_TEXT)))
+        facts.append(Fact(label="Vehicle", value=shown(next(iter(log.vehicle.values())))))
     return tuple(facts)
 
 

@@ -7,12 +7,18 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 
 DEG_PER_RAD = 180.0 / math.pi
 SHOWN_NAME = 60
 """Longest foreign name that is printed whole; channel and topic names of real logs stay below."""
 SHOWN_TEXT = 400
 """Longest foreign sentence that is printed whole: an error text, a reason."""
+
+LONGEST_PLAIN = 1e7
+"""Numbers from here on are printed with an exponent."""
+SIGNIFICANT = 12
+"""Digits of a float that are taken at their word; a change of unit disturbs the last few."""
 
 _GROUP = "\u202f"  # narrow no-break space between groups of three digits, as SI writes them
 # Categories of characters that print nothing, or rearrange what is printed around them.
@@ -70,7 +76,7 @@ def figure(value: float, significant: int = 3) -> str:
         return "unbounded"
     if value == 0:
         return "0"
-    if not 1e-4 <= abs(value) < 1e7:
+    if not 1e-4 <= abs(value) < LONGEST_PLAIN:
         return f"{value:.{significant - 1}e}"
     places = max(0, significant - 1 - math.floor(math.log10(abs(value))))
     text = f"{value:.{places}f}"
@@ -111,30 +117,37 @@ def rounded(low: float, high: float, estimate: float) -> tuple[str, str, str]:
     low, high, estimate
         An end that is not finite is empty, an estimate that is not finite "unknown".
     """
+    largest = max((abs(x) for x in (low, high, estimate) if math.isfinite(x)), default=0.0)
     half_width = (high - low) / 2.0
-    known = math.isfinite(half_width) and half_width > 0.0
-    places = _places(half_width, 3) if known else _places(estimate, 1) + 1
-    scale = 10.0**places
-    # A millionth of the last digit is the rounding of a change of unit, not a wider interval.
-    ends = [
-        f"{toward(end * scale + slack) / scale:.{places}f}" if math.isfinite(end) else ""
-        for end, toward, slack in ((low, math.floor, 1e-6), (high, math.ceil, -1e-6))
-    ]
-    middle = f"{estimate:.{places}f}" if math.isfinite(estimate) else "unknown"
-    return _no_negative_zero(ends[0]), _no_negative_zero(ends[1]), _no_negative_zero(middle)
+    if math.isfinite(half_width) and half_width > 0.0:
+        places = _places(half_width)
+    else:  # three digits of whatever is known
+        places = 2 - _exponent(largest)
+    if largest < LONGEST_PLAIN:
+        places = max(0, places)
+    quantum = Decimal(1).scaleb(-min(places, SIGNIFICANT - 1 - _exponent(largest)))
+    return (
+        _rounded(low, quantum, ROUND_FLOOR) if math.isfinite(low) else "",
+        _rounded(high, quantum, ROUND_CEILING) if math.isfinite(high) else "",
+        _rounded(estimate, quantum, ROUND_HALF_EVEN) if math.isfinite(estimate) else "unknown",
+    )
 
 
-def _places(value: float, one_digit_from: int) -> int:
-    """Decimals that leave one significant digit, or two where the first is a small one."""
-    if not math.isfinite(value) or value == 0.0:
-        return 2
-    exponent = math.floor(math.log10(abs(value)))
-    first = round(abs(value) / 10.0**exponent, 6)
-    return min(9, max(0, -exponent + (0 if first >= one_digit_from else 1)))
+def _rounded(value: float, quantum: Decimal, rounding: str) -> str:
+    # Twelve digits first: what lies beyond them is the rounding of a change of unit.
+    text = str(Decimal(f"{value:.{SIGNIFICANT}g}").quantize(quantum, rounding))
+    return text.removeprefix("-") if text.startswith("-") and not text.strip("-0.E+") else text
 
 
-def _no_negative_zero(text: str) -> str:
-    return text.removeprefix("-") if text.startswith("-") and not text.strip("-0.") else text
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def _places(half_width: float) -> int:
+    """Decimals that leave one significant digit, or two where the first is below three."""
+    exponent = _exponent(half_width)
+    first = round(half_width / 10.0**exponent, 6) if exponent > -300 else 1.0
+    return -exponent + (0 if first >= 3.0 else 1)
 
 
 def between(low: str, high: str) -> str:
@@ -173,10 +186,12 @@ def utc(start_utc: str | None, *times_s: float) -> str:
         moments = [start + timedelta(seconds=time_s) for time_s in times_s]
     except (ValueError, OverflowError):
         return ""
-    clocks = [f"{moment:%H:%M:%S}.{moment.microsecond // 100_000}" for moment in moments]
-    if len(clocks) > 1 and clocks[0] == clocks[-1]:
-        clocks = clocks[:1]
-    return f"{moments[0]:%Y-%m-%d} {' to '.join(clocks)} UTC"
+    texts = [f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 100_000}" for moment in moments]
+    first, last = texts[0], texts[-1]
+    day = len("2024-05-01 ")
+    if first == last:
+        return f"{first} UTC"
+    return f"{first} to {last[day:] if first[:day] == last[:day] else last} UTC"
 
 
 def listed(names: Sequence[str], last: str = "and", limit: int = 12) -> str:

@@ -1,0 +1,171 @@
+"""The plain words of a report: each must be true, and exact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fdilog.finding import Size
+from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
+from fdilog_reports.view import report
+from fdilog_reports.words import DEG_PER_RAD
+from tests.reports_factory import (
+    DEG,
+    analysis,
+    bias,
+    failed_analysis,
+    pair_analysis,
+    status_of,
+    table,
+)
+
+
+def size(estimate: float, low: float, high: float, unit: str, confidence: float = 0.999) -> Size:
+    return Size(estimate=estimate, low=low, high=high, confidence=confidence, unit=unit)
+
+
+def test_a_bias_is_said_in_degrees_with_its_interval_and_its_time() -> None:
+    made = failed_analysis()
+    assert verdict_sentence(made) == (
+        "imu1.y read 2.0 deg/s too much (99.9 %: 1.7 to 2.3) from 40.1 s to 60.2 s."
+    )
+
+
+def test_a_negative_bias_is_too_little_by_a_positive_amount() -> None:
+    sentence = finding_sentence(bias(deg_s=-2.0), failed_analysis())
+    assert sentence.startswith("imu1.y read 2.0 deg/s too little (99.9 %: 1.7 to 2.3)")
+
+
+def test_two_suspects_are_both_named_and_none_is_chosen() -> None:
+    assert verdict_sentence(pair_analysis()) == (
+        "One of imu0.x and imu1.x was wrong by 3.0 deg/s (99.9 %: 2.7 to 3.3) from 30.0 s to"
+        " 70.0 s; this log cannot tell which."
+    )
+
+
+def test_where_the_size_depends_on_the_suspect_it_says_whose_it_is() -> None:
+    found = bias(("imu0.x", "imu1.y"))
+    assert "(99.9 %: 1.7 to 2.3) if it was imu0.x" in finding_sentence(found, pair_analysis())
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (
+            {"kind": "drift", "size": size(0.001, 0.0008, 0.0012, "rad/s^2")},
+            "drifted upwards by 0.057 deg/s per second (99.9 %: 0.045 to 0.069)",
+        ),
+        (
+            {"kind": "scale", "size": size(-0.072, -0.085, -0.059, "1")},
+            "read rates 7.2 % too small (99.9 %: 5.9 to 8.5)",
+        ),
+        (
+            {"kind": "noise", "size": size(4.2, 3.1, 5.5, "1")},
+            "was 4.2 times as noisy as it should be (99.9 %: 3.1 to 5.5)",
+        ),
+        (
+            {"kind": "dropout", "size": size(1.3, 1.3, 1.3, "s", 1.0)},
+            "imu1.y was silent for 1.30 s while others went on from 40.1 s",
+        ),
+        ({"kind": "dead", "size": None}, "was dead: it read zero"),
+        ({"kind": "bias", "size": None}, "by how much the log does not bound"),
+        (
+            {"size": size(2 * DEG, 1.7 * DEG, float("inf"), "rad/s")},
+            "read 2.00 deg/s too much (99.9 %: at least 1.70)",
+        ),
+        (
+            {"size": size(float("nan"), float("-inf"), -1.7 * DEG, "rad/s")},
+            "read an unknown number of deg/s too little (99.9 %: at least 1.70)",
+        ),
+    ],
+)
+def test_every_kind_has_its_words(values: dict[str, Any], said: str) -> None:
+    assert said in finding_sentence(bias(**values), failed_analysis())
+
+
+def test_a_fault_that_lasts_from_end_to_end_is_said_to() -> None:
+    sentence = finding_sentence(bias(start_s=0.0, end_s=119.98), failed_analysis())
+    assert sentence.endswith("throughout, from 0.0 s to 120.0 s.")
+
+
+def test_several_failures_are_counted_and_named() -> None:
+    findings = (bias(("imu1.y",)), bias(("imu0.x", "imu1.x")), bias(("imu1.y",), start_s=80.0))
+    assert verdict_sentence(pair_analysis(findings=findings)) == (
+        "imu1.y failed (constant error); imu0.x or imu1.x failed, and this log cannot tell which:"
+        " 3 findings."
+    )
+
+
+def test_healthy_says_what_was_compared_and_within_what() -> None:
+    sentence = verdict_sentence(analysis())
+    assert "all 9 channels that could be compared kept within 1 deg/s" in sentence
+    assert "90 %" in sentence
+
+
+def test_undecided_names_the_channels_it_is_about() -> None:
+    made = table()
+    sentence = verdict_sentence(
+        analysis(made, verdict="undecided", status=status_of(made, imu0_z="undecided"))
+    )
+    assert "1 of 9 compared could not be shown to keep within 1 deg/s: imu0.z" in sentence
+
+
+def test_a_damaged_log_of_healthy_channels_is_undecided_because_of_what_is_lost() -> None:
+    made = analysis(verdict="undecided", completeness=pair_analysis().completeness)
+    assert verdict_sentence(made).endswith("but part of the log is lost.")
+    (note,) = report(made).verdict.notes
+    assert note == (
+        "The log is not whole: 12.3 kB (12\u202f345 bytes) and 4.2 s lost."
+        " What happened in the missing part is not known."
+    )
+
+
+def test_one_gyro_alone_is_insufficient_and_why() -> None:
+    made = analysis(table(sources=1), verdict="insufficient")
+    assert verdict_sentence(made) == (
+        "Nothing could be compared: the log holds one gyro source, imu0, and nothing to hold it"
+        " against."
+    )
+    assert (
+        "imu0.x, imu0.y and imu0.z: nothing else in this log measures along their axes, so a wrong"
+        " rate would not have shown." in blind_spots(made)
+    )
+
+
+def test_pairs_that_cannot_be_told_apart_are_listed() -> None:
+    said = blind_spots(pair_analysis())
+    assert said[0] == (
+        "A fault of one looks like a fault of the other, so these are accused together, never"
+        " apart: imu0.x and imu1.x; imu0.y and imu1.y; imu0.z and imu1.z."
+    )
+
+
+def test_the_tolerance_is_said_to_hide_smaller_errors() -> None:
+    assert blind_spots(analysis())[-1].startswith("Errors below the tolerance of 1 deg/s")
+
+
+def test_the_finding_is_told_with_utc_tolerance_and_guarantee() -> None:
+    facts = {fact.label: fact.value for fact in report(failed_analysis()).findings[0].facts}
+    assert facts["Tolerance"] == "±1 deg/s"
+    assert facts["UTC"] == "2024-05-01 13:05:22.3 to 13:05:42.4 UTC"
+    assert facts["Guaranteed"] == "0.8 to 3.2 deg/s as long as the stated bound holds"
+    assert facts["Agree"] == "difference, guaranteed and parity"
+    assert facts["Dissent"] == "none"
+
+
+def test_a_guarantee_without_a_bound_says_so() -> None:
+    from fdilog.finding import Interval
+
+    found = bias(guaranteed=Interval(low=float("-inf"), high=float("inf")))
+    facts = {f.label: f.value for f in report(failed_analysis(findings=(found,))).findings[0].facts}
+    assert facts["Guaranteed"].startswith("unbounded")
+
+
+def test_how_sharp_the_intervals_were_is_said() -> None:
+    made = analysis()
+    (said,) = [sentence for sentence in blind_spots(made) if sentence.startswith("Over 5 s")]
+    half_widths = [DEG_PER_RAD * np.median(made.evidence[0].high - made.evidence[0].low, 0) / 2]
+    least, most = f"{np.min(half_widths):.2g}", f"{np.max(half_widths):.2g}"
+    assert f"within {least} to {most} deg/s, by channel" in said
