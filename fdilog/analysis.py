@@ -233,28 +233,30 @@ def judge(
             alone.extend(detector.detect(whole))
     heard = without(table, alone)
     sound, calibration = calibrate(heard, config)
-    compared: list[Evidence] = []
+    sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
     for name, detector in chosen:
         if detector.stage == "samples":
             progress(f"{name}, every sample")
             windows = spans(heard, each, each + 1)
-            compared.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
+            sampled.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
+    compared: list[Evidence] = []
     for windows in cut(sound, config):
         survey = Survey(table=sound, windows=windows, config=config)
         for name, detector in chosen:
             if detector.stage == "windows":
                 progress(f"{name}, {windows.length_s:g} s windows")
                 compared.extend(detector.detect(survey))
+    biased = decision.bias_findings(heard, sound, compared, config)
     findings = [
         *decision.self_evident_findings(table, alone),
-        *decision.bias_findings(heard, sound, compared, config),
+        *decision.guaranteed_findings(heard, sampled, biased, config),
     ]
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
     return Judgement(
         findings=tuple(findings),
         status=decision.channel_status(sound, compared, findings),
-        evidence=(*alone, *compared),
+        evidence=(*alone, *sampled, *compared),
         calibration=calibration,
     )
 

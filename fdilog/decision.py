@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import Config
-from fdilog.finding import SIZE_UNIT, Evidence, Finding, Kind, Size, Status, Verdict
+from fdilog.finding import SIZE_UNIT, Evidence, Finding, Interval, Kind, Size, Status, Verdict
 from fdilog.geometry import leave_one_out
 from fdilog.isolation import compare, isolate
 from fdilog.table import ChannelTable
@@ -20,6 +20,8 @@ from fdilog.windows import Moments, Survey, spans
 HEALTHY_COVERAGE = 0.9
 # The edges of a fault are first looked for among this many bins, then among samples.
 EDGE_BINS = 400
+# A fault that single samples show, miss and show again within this time is one fault. [s]
+REJOINED_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,9 @@ class Cluster:
         )
 
 
-def clusters(time_s: NDArray[np.float64], accused: Sequence[Accusation]) -> list[Cluster]:
+def clusters(
+    time_s: NDArray[np.float64], accused: Sequence[Accusation], reach_s: float = 0.0
+) -> list[Cluster]:
     """Join accusations that share a suspect and are no further apart than their windows reach."""
     found: list[Cluster] = []
     for item in sorted(accused, key=lambda a: (a.start, a.stop, -a.length_s, sorted(a.suspects))):
@@ -108,7 +112,7 @@ def clusters(time_s: NDArray[np.float64], accused: Sequence[Accusation]) -> list
         apart = []
         for other in found:
             gap_s = time_s[merged.start] - time_s[other.stop - 1]
-            near = gap_s <= max(merged.longest_s, other.longest_s) / 2
+            near = gap_s <= max(merged.longest_s / 2, other.longest_s / 2, reach_s)
             if near and other.suspects & merged.suspects:
                 merged = merged.joined(other)
             else:
@@ -130,11 +134,8 @@ def bias_findings(
     """
     by_detector: dict[str, list[Accusation]] = {}
     for item in evidence:
-        if item.kind == "bias":
-            by_detector.setdefault(item.detector, []).extend(accusations(item))
-    if not by_detector:
-        return []
-    open_accusations = next(iter(by_detector.values()))
+        by_detector.setdefault(item.detector, []).extend(accusations(item))
+    open_accusations = next(iter(by_detector.values()), [])
     faults: list[Fault] = []
     while open_accusations:
         left: list[Accusation] = []
@@ -269,6 +270,81 @@ def _size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
     )
 
 
+def guaranteed_findings(
+    table: ChannelTable, evidence: Sequence[Evidence], findings: list[Finding], config: Config
+) -> list[Finding]:
+    """Add what the guaranteed intervals of single samples say to the findings.
+
+    A finding gets the guaranteed interval of its suspect's mean error over its span: the mean of
+    the intervals of the samples. Where a bound is stated, what they accuse is a finding even if no
+    window showed it; an estimated bound guarantees too little for that.
+    """
+    for item in evidence:
+        findings = [_with_guarantee(table, item, finding) for finding in findings]
+        if config.noise.bound_deg_s > 0.0:
+            found = clusters(table.time_s, list(accusations(item)), reach_s=REJOINED_S)
+            findings += [
+                finding
+                for finding in (_guaranteed(table, item, cluster) for cluster in found)
+                if not any(_same_fault(finding, other) for other in findings)
+            ]
+    return findings
+
+
+def _same_fault(one: Finding, other: Finding) -> bool:
+    overlap = one.start_s <= other.end_s and other.start_s <= one.end_s
+    return overlap and bool(set(one.suspects) & set(other.suspects))
+
+
+def _with_guarantee(table: ChannelTable, evidence: Evidence, finding: Finding) -> Finding:
+    if finding.kind != "bias" or not finding.isolated:
+        return finding
+    channel = table.names.index(finding.suspects[0])
+    rows = (table.time_s >= finding.start_s) & (table.time_s <= finding.end_s)
+    accused = bool((evidence.accused[rows, channel] > 0).any())
+    return replace(
+        finding,
+        guaranteed=_mean_interval(evidence, rows, channel),
+        detectors=(*finding.detectors, evidence.detector) if accused else finding.detectors,
+    )
+
+
+def _mean_interval(evidence: Evidence, rows: NDArray[np.bool_], channel: int) -> Interval | None:
+    low, high = evidence.low[rows, channel], evidence.high[rows, channel]
+    bounded = np.isfinite(low) & np.isfinite(high)
+    if not bounded.any():
+        return None
+    return Interval(low=float(low[bounded].mean()), high=float(high[bounded].mean()))
+
+
+def _guaranteed(table: ChannelTable, evidence: Evidence, cluster: Cluster) -> Finding:
+    channel = min(cluster.suspects)
+    rows = np.zeros(len(table.time_s), bool)
+    for member in cluster.members:
+        rows[member.start : member.stop] = True
+    interval = _mean_interval(evidence, rows, channel)
+    names = tuple(table.names[k] for k in sorted(cluster.suspects))
+    size = None
+    if interval is not None:
+        size = Size(
+            estimate=(interval.low + interval.high) / 2,
+            low=interval.low,
+            high=interval.high,
+            confidence=evidence.confidence,
+            unit=SIZE_UNIT["bias"],
+        )
+    return Finding(
+        kind="bias",
+        suspects=names,
+        start_s=float(table.time_s[cluster.start]),
+        end_s=float(table.time_s[cluster.stop - 1]),
+        size=size,
+        guaranteed=interval,
+        detectors=(evidence.detector,),
+        detail="beyond tolerance for every healthy error within the stated bound",
+    )
+
+
 def _overlap(table: ChannelTable, said: Accusation, finding: Finding) -> bool:
     start_s, end_s = table.time_s[said.start], table.time_s[said.stop - 1]
     return bool(start_s <= finding.end_s and end_s >= finding.start_s)
@@ -388,10 +464,9 @@ def channel_status(
     Healthy is a channel in no finding whose longest windows (of the greatest length whose windows
     cover at least 90 % of its valid time) all lie inside the tolerance.
     """
-    compared = [item for item in evidence if item.kind == "bias"]
-    lead = compared[0].detector if compared else None
+    lead = evidence[0].detector if evidence else None
     by_length = sorted(
-        (item for item in compared if item.detector == lead),
+        (item for item in evidence if item.detector == lead),
         key=lambda item: -item.windows.length_s,
     )
     alone = {f.suspects[0] for f in findings if f.isolated}
