@@ -1,0 +1,88 @@
+"""What a navigator would try first: residuals of least squares and of least absolute deviations.
+
+Both spread a large fault over healthy channels, which is why the other methods exist; they are
+here to be compared with.
+
+References
+----------
+[Baarda68] W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
+    Commission, Publications on Geodesy 2(5), 1968: the normalised residual.
+[Matasov24] A. I. Matasov, E. V. Shestakova, "Failure determination for a redundant inertial sensor
+    unit by guaranteeing estimation", Vestnik MSU ser. 1, 2024, no. 5, 77-81: compares with both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fdilog.detectors.one_norm import one_norm_errors
+from fdilog.geometry import RANK_TOLERANCE, Floats, checked_readings, residual_projector
+
+
+def least_squares_errors(readings: ArrayLike, axes: ArrayLike) -> Floats:
+    """Errors of the channels as least squares sees them.
+
+    Parameters
+    ----------
+    readings : (n_samples, n_channels)
+        Readings z. [any rate]
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+
+    Returns
+    -------
+    errors : (n_samples, n_channels)
+        Residuals ``z - H (H'H)^-1 H' z = G z``. [the rate]
+    """
+    samples, directions = checked_readings(readings, axes)
+    errors: Floats = samples @ residual_projector(directions)
+    return errors
+
+
+def least_absolute_errors(readings: ArrayLike, axes: ArrayLike) -> Floats:
+    """Errors of the channels as least absolute deviations sees them.
+
+    Parameters
+    ----------
+    readings : (n_samples, n_channels)
+        Readings z. [any rate]
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+
+    Returns
+    -------
+    errors : (n_samples, n_channels)
+        Residuals ``z - H w`` of the w with the smallest sum of their moduli: the error vector of
+        smallest 1-norm that has the parity of the readings. [the rate]
+    """
+    samples, directions = checked_readings(readings, axes)
+    return one_norm_errors(samples, directions)
+
+
+def normalised_residuals(errors: Floats, axes: ArrayLike, sigma: ArrayLike) -> Floats:
+    """Residuals in units of what noise alone would make them.
+
+    Parameters
+    ----------
+    errors : (n_samples, n_channels)
+        Residuals of least squares. [any rate]
+    axes : (n_channels, 3)
+        Sensitivity axes H. [1]
+    sigma : ()
+        Standard deviation s of the noise, the same for every channel. [the rate]
+
+    Returns
+    -------
+    residuals : (n_samples, n_channels)
+        ``(G z)_i / (s sqrt(G_ii))``, standard normal if all are healthy; not-a-number where
+        nothing checks the channel. [1]
+
+    References
+    ----------
+    [Baarda68] data snooping: the channel with the largest modulus is the suspect.
+    """
+    redundancy = np.diag(residual_projector(axes)).copy()
+    redundancy[redundancy <= RANK_TOLERANCE] = np.nan
+    residuals: Floats = errors / (np.asarray(sigma) * np.sqrt(redundancy))
+    return residuals
