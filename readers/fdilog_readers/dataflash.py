@@ -52,7 +52,7 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
     """
     with Blocks(path, BLOCK_BYTES) as blocks:
         framing = Framing(blocks)
-        found = _Found(frozenset(also))
+        found = _Found(frozenset(also), blocks.size)
         for batch in framing.batches():
             found.take(batch)
         size = max(blocks.end, blocks.size)
@@ -62,7 +62,9 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
             " DataFlash log, or the beginning, which says what its records hold, is lost"
         )
     problems = framing.problems + found.problems()
-    tables = {name: _table(name, found.parts.pop(name), problems) for name in sorted(found.parts)}
+    tables = {
+        name: _table(name, found.columns.pop(name), problems) for name in sorted(found.columns)
+    }
     return recording(
         path,
         tables,
@@ -74,15 +76,13 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
     )
 
 
-_Part = tuple[Layout, Offsets, NDArray[Any]]
-
-
 @dataclass
 class _Found:
     """Records of the wanted types, and how many there are of all."""
 
     also: frozenset[str]
-    parts: dict[str, list[_Part]] = field(default_factory=dict)
+    file_bytes: int
+    columns: dict[str, dict[Layout, _Growing]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     flawed: dict[Layout, int] = field(default_factory=dict)
 
@@ -107,8 +107,10 @@ class _Found:
             self._add(batch, layout, f"{layout.name}[{number}]", offsets[instances == number])
 
     def _add(self, batch: Batch, layout: Layout, name: str, offsets: Offsets) -> None:
-        gathered = rows(batch.buffer, offsets, layout.dtype)
-        self.parts.setdefault(name, []).append((layout, batch.start + offsets, gathered))
+        ways = self.columns.setdefault(name, {})
+        if layout not in ways:
+            ways[layout] = _Growing(layout, self.file_bytes)
+        ways[layout].add(batch.start + offsets, rows(batch.buffer, offsets, layout.dtype))
 
     def problems(self) -> list[Problem]:
         """Say which types have a length but no fields that could be read."""
@@ -122,20 +124,66 @@ class _Found:
         ]
 
 
-def _table(name: str, parts: list[_Part], problems: list[Problem]) -> Table:
-    """Join the pieces of one name, of one layout or several."""
-    layouts = list(dict.fromkeys(layout for layout, _, _ in parts))
-    fields = [f for f in layouts[0].fields if all(f in other.fields for other in layouts)]
-    missing = sorted({f for layout in layouts for f in layout.fields} - set(fields))
+class _Growing:
+    """Columns of one layout that are filled from the front, so that rows are copied only once.
+
+    There is room for as many records as the rest of the file will hold if it goes on like this;
+    room that is not used costs addresses, not memory.
+    """
+
+    def __init__(self, layout: Layout, file_bytes: int) -> None:
+        self._layout = layout
+        self._file_bytes = file_bytes
+        self._size = 0
+        self._offsets = np.empty(0, np.int64)
+        self._columns = {
+            f: np.empty((0, *item.shape), item.base.newbyteorder("="))
+            for f, item in ((f, layout.dtype[f]) for f in layout.fields)
+        }
+
+    def add(self, offsets: Offsets, gathered: NDArray[Any]) -> None:
+        """Append records while they are in the processor's cache."""
+        start, self._size = self._size, self._size + len(offsets)
+        if self._size > len(self._offsets):
+            self._make_room(start, int(offsets[-1]) + self._layout.length)
+        self._offsets[start : self._size] = offsets
+        for f, column in self._columns.items():
+            column[start : self._size] = gathered[f]
+
+    def _make_room(self, filled: int, bytes_seen: int) -> None:
+        left = max(self._file_bytes - bytes_seen, 0)
+        like_this = self._size * left // bytes_seen
+        room = self._size + min(max(self._size, like_this * 9 // 8), left // self._layout.length)
+        self._offsets = _moved(self._offsets, filled, room)
+        self._columns = {f: _moved(column, filled, room) for f, column in self._columns.items()}
+
+    def table(self) -> Table:
+        """Return the columns in their units, and give up one's own."""
+        fields = list(self._columns)
+        columns = {
+            f: physical(self._layout.character(f), self._columns.pop(f)[: self._size])
+            for f in fields
+        }
+        return Table(self._offsets[: self._size], columns)
+
+
+def _moved(column: NDArray[Any], filled: int, room: int) -> NDArray[Any]:
+    moved = np.empty((room, *column.shape[1:]), column.dtype)
+    moved[:filled] = column[:filled]
+    return moved
+
+
+def _table(name: str, ways: dict[Layout, _Growing], problems: list[Problem]) -> Table:
+    """Join the records of one name, which the log may have defined in several ways."""
+    tables = [growing.table() for growing in ways.values()]
+    if len(tables) == 1:
+        return tables[0]
+    fields = [f for f in tables[0].columns if all(f in other.columns for other in tables)]
+    missing = sorted({f for table in tables for f in table.columns} - set(fields))
     if missing:
-        what = f"{name} is defined in {len(layouts)} ways; left out, as they are not in all: "
+        what = f"{name} is defined in {len(ways)} ways; left out, as they are not in all: "
         problems.append(Problem(what=what + ", ".join(missing), note=True))
-    offsets = np.concatenate([at for _, at, _ in parts])
-    columns = {
-        f: np.concatenate([physical(layout.character(f), rows_[f]) for layout, _, rows_ in parts])
-        for f in fields
-    }
-    if len(layouts) > 1:
-        order = np.argsort(offsets, kind="stable")
-        offsets, columns = offsets[order], {f: column[order] for f, column in columns.items()}
-    return Table(offsets, columns)
+    offsets = np.concatenate([table.offsets for table in tables])
+    order = np.argsort(offsets)
+    columns = {f: np.concatenate([table.columns[f] for table in tables])[order] for f in fields}
+    return Table(offsets[order], columns)

@@ -170,7 +170,7 @@ def physical(character: str, raw: NDArray[Any]) -> NDArray[Any]:
         return raw.astype(np.float32)
     if raw.dtype.kind == "S":
         return texts(raw)
-    return raw.astype(raw.dtype.newbyteorder("="))
+    return raw.astype(raw.dtype.newbyteorder("="), copy=False)
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:

@@ -86,7 +86,9 @@ class Table:
 
     def _ns(self, name: str, ns: int) -> NDArray[np.int64]:
         whole = self.columns[name].astype(np.uint64)
-        return np.minimum(whole, LATEST_NS // ns).astype(np.int64) * ns
+        np.minimum(whole, LATEST_NS // ns, out=whole)
+        whole *= np.uint64(ns)
+        return whole.view(np.int64)
 
 
 def recording(
