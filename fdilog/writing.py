@@ -6,12 +6,13 @@ that reads it back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fdilog.errors import UsageError, nearest
-from fdilog.injection import Change
+from fdilog.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
 
@@ -54,12 +55,50 @@ def write(recording: Recording, path: str | Path) -> None:
         written.
     """
     path = Path(path)
+    with _one_line(path):
+        _writer(path).write(recording, path)
+
+
+def write_injected(injection: Injection, log: str | Path, path: str | Path) -> None:
+    """Write a copy of a log with faults in it.
+
+    Where the format's writer can patch and the copy is of the same format, every other byte of the
+    log stays as it is; else the recording is written anew, with what its writer can hold.
+
+    Parameters
+    ----------
+    log
+        The file that ``injection`` was made from, as it lies on the disk: not compressed.
+
+    Raises
+    ------
+    UsageError
+        As for `write`, and if the copy would overwrite the log.
+    """
+    log, path = Path(log), Path(path)
+    if path.exists() and path.samefile(log):
+        raise UsageError(f"{path}: is the log itself; name another file for the copy")
+    writer: Any = _writer(path)
+    if not hasattr(writer, "patch") or log.suffix.lower() != path.suffix.lower():
+        write(injection.recording, path)
+        return
+    with _one_line(path):
+        writer.patch(log, path, injection.changes)
+
+
+def _writer(path: Path) -> Writer:
     writers: dict[str, Writer] = plugins("writers")
     by_suffix = {writer.suffix: writer for writer in writers.values()}
     suffix = path.suffix.lower()
     if suffix not in by_suffix:
         raise UsageError(f"{path}: no format with suffix '{suffix}'{nearest(suffix, [*by_suffix])}")
+    return by_suffix[suffix]
+
+
+@contextmanager
+def _one_line(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be written."""
     try:
-        by_suffix[suffix].write(recording, path)
+        yield
     except OSError as error:
         raise UsageError(f"{path}: {(error.strerror or str(error)).lower()}") from error

@@ -16,7 +16,7 @@ from fdilog.injection import Injection, inject
 from fdilog.recording import Recording, Stream
 from fdilog.registry import plugin, read
 from fdilog.simulate import simulate
-from fdilog.writing import write
+from fdilog.writing import write, write_injected
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def log(tmp_path: Path) -> Path:
 def injected(log: Path, *faults: Fault) -> tuple[Path, Injection]:
     injection = inject(read(log), faults, seed=1)
     copy = log.with_name("copy.bin")
-    plugin("writers", "dataflash").patch(log, copy, injection.changes)
+    write_injected(injection, log, copy)
     return copy, injection
 
 
@@ -141,6 +141,31 @@ def test_a_fault_that_fits_no_channel_or_time_is_refused(log: Path) -> None:
         injected(log, Fault(kind="dead", channel="imu7.y"))
     with pytest.raises(UsageError, match=r"the flight lasts 19\.9"):
         injected(log, Fault(kind="dead", channel="imu1.y", start_s=21.0))
+
+
+def test_a_copy_in_another_format_is_written_anew(log: Path) -> None:
+    injection = inject(read(log), [Fault(kind="dead", channel="imu2.z", start_s=4.0)])
+    table = log.with_name("copy.csv")
+    write_injected(injection, log, table)
+    rows = np.genfromtxt(table, delimiter=",", skip_header=1)
+    late = rows[:, 0] >= 4.0
+    assert not rows[late, 9].any()
+    assert rows[late, 8].any()
+    assert rows[~late, 9].any()
+
+
+def test_a_log_is_never_overwritten(log: Path) -> None:
+    before = log.read_bytes()
+    injection = inject(read(log), [Fault(kind="dead", channel="imu2.z")])
+    with pytest.raises(UsageError, match="is the log itself"):
+        write_injected(injection, log, log)
+    assert log.read_bytes() == before
+
+
+def test_a_copy_that_cannot_be_written_is_one_line(log: Path) -> None:
+    injection = inject(read(log), [Fault(kind="dead", channel="imu2.z")])
+    with pytest.raises(UsageError, match="no such file"):
+        write_injected(injection, log, log.parent / "missing" / "copy.bin")
 
 
 def test_a_stream_without_offsets_cannot_be_patched(log: Path) -> None:
