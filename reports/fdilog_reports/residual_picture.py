@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fdilog.analysis import Analysis
+from fdilog.finding import Evidence
 from fdilog.geometry import blocks
 from fdilog_reports.figures import (
     BINS,
@@ -21,7 +22,7 @@ from fdilog_reports.figures import (
     finding_spans,
     outline,
 )
-from fdilog_reports.residuals import Intervals, Residual, intervals, residuals
+from fdilog_reports.residuals import Intervals, Residual, drawn_evidence, intervals, residuals
 from fdilog_reports.words import DEG_PER_RAD, figure, flight_time, listed, percent, shown
 
 
@@ -71,6 +72,7 @@ class _Frame:
     time: TimeAxis
     rate: RateAxis
     edges: Floats
+    evidence: Evidence | None
 
 
 def residual_picture(analysis: Analysis) -> Residuals:
@@ -85,7 +87,8 @@ def residual_picture(analysis: Analysis) -> Residuals:
     }
     peaks = [float(np.nanmax(np.abs(line))) for line in lines.values()]
     rate_axis = RateAxis(tolerance=tolerance, top=1.1 * max([3.0 * tolerance, *peaks]))
-    frame = _Frame(time=axis, rate=rate_axis, edges=edges)
+    drawn = drawn_evidence(analysis)
+    frame = _Frame(time=axis, rate=rate_axis, edges=edges, evidence=drawn)
     groups = []
     for block in blocks(analysis.table.axes) if series else []:
         members = [i for i in block if i in series]
@@ -100,7 +103,7 @@ def residual_picture(analysis: Analysis) -> Residuals:
     return Residuals(
         groups=tuple(groups),
         tolerance=figure(tolerance),
-        bars=_bars_in_words([bars for i in series for bars in [intervals(analysis, i)] if bars]),
+        bars=_bars_in_words(drawn) if drawn is not None else "",
         time_ticks=axis.ticks(),
     )
 
@@ -113,15 +116,9 @@ def _mirrored(members: list[int], series: dict[int, Residual]) -> bool:
     return series[first].peers == (second,) and series[second].peers == (first,)
 
 
-def _bars_in_words(drawn: list[Intervals]) -> str:
-    kinds = {(i.detector, i.length_s, i.confidence) for i in drawn}
-    return listed(
-        [
-            f"{shown(detector)}, {figure(length)} s windows, "
-            f"{'guaranteed' if confidence >= 1 else percent(confidence)}"
-            for detector, length, confidence in sorted(kinds)
-        ]
-    )
+def _bars_in_words(drawn: Evidence) -> str:
+    confidence = "guaranteed" if drawn.confidence >= 1.0 else percent(drawn.confidence)
+    return f"{shown(drawn.detector)}, {figure(drawn.windows.length_s)} s windows, {confidence}"
 
 
 def _panel(
@@ -139,7 +136,7 @@ def _panel(
         peak=f"{figure(peak)} deg/s {flight_time(peak_s, peak_s)}",
         envelope=outline(middle, frame.rate.y(line)),
         peak_mark=f"M{x:.1f} {y:.1f}h0",
-        bars=_bars(frame, intervals(analysis, residual.channel)),
+        bars=_bars(frame, intervals(frame.evidence, residual.channel)),
         spans=finding_spans(analysis, frame.time, {channels[i].name for i in shared_by}),
         rate_ticks=frame.rate.ticks(),
         band_top=f"{band_top:.1f}",

@@ -118,7 +118,7 @@ class Intervals:
     @property
     def inside(self) -> NDArray[np.bool_]:
         """Windows whose interval lies wholly inside the tolerance."""
-        within: NDArray[np.bool_] = (self.low >= -self.tolerance) & (self.high <= self.tolerance)
+        within: NDArray[np.bool_] = (self.low > -self.tolerance) & (self.high < self.tolerance)
         return within
 
     @property
@@ -132,40 +132,59 @@ MOST_WINDOWS = 240
 
 
 def leading(evidence: Sequence[Evidence]) -> list[Evidence]:
-    """Return the evidence of the detector that decides: the first one that compares."""
-    compared = [item for item in evidence if item.kind == "bias" and len(item.windows)]
-    return [item for item in compared if item.detector == compared[0].detector]
+    """Return the evidence that decides a channel's status: the first detector of windows.
 
-
-def intervals(analysis: Analysis, channel: int) -> Intervals | None:
-    """Choose the deciding detector's intervals: the shortest windows that can still be drawn.
-
-    At most `MOST_WINDOWS`; where every length has more of them, the longest windows.
+    What a detector says of single samples, or of windows each of its own length, is beside it.
     """
-    bounded = [
-        (evidence, known)
-        for evidence in leading(analysis.evidence)
-        for known in [_bounded(evidence, channel)]
-        if known.any()
+    compared = [item for item in evidence if item.kind == "bias" and item.windows.length_s > 0.0]
+    return [
+        item for item in compared if len(item.windows) and item.detector == compared[0].detector
     ]
-    if not bounded:
+
+
+def drawn_evidence(analysis: Analysis) -> Evidence | None:
+    """Choose the deciding detector's windows that show most: the shortest of which most decide.
+
+    Of the lengths with at most `MOST_WINDOWS`, the shortest at which at least half of the bounded
+    intervals lie inside or outside the tolerance; where there is none, the longest.
+    """
+    bounded = [item for item in leading(analysis.evidence) if _bounded(item).any()]
+    bounded.sort(key=lambda item: item.windows.length_s)
+    for item in bounded:
+        if len(item.windows) <= MOST_WINDOWS and _decided_share(item) >= 0.5:
+            return item
+    return bounded[-1] if bounded else None
+
+
+def intervals(drawn: Evidence | None, channel: int) -> Intervals | None:
+    """Return one channel's intervals of the evidence that is drawn, if any is bounded."""
+    if drawn is None:
         return None
-    drawable = [pair for pair in bounded if pair[1].sum() <= MOST_WINDOWS]
-    most_first = sorted(drawable or bounded, key=lambda pair: -int(pair[1].sum()))
-    evidence, known = most_first[0 if drawable else -1]
-    windows = evidence.windows
+    known = _bounded(drawn)[:, channel]
+    if not known.any():
+        return None
+    windows = drawn.windows
     return Intervals(
-        detector=evidence.detector,
+        detector=drawn.detector,
         length_s=windows.length_s,
-        confidence=evidence.confidence,
+        confidence=drawn.confidence,
         middle_s=(windows.start_s[known] + windows.end_s[known]) / 2.0,
-        low=evidence.low[known, channel],
-        high=evidence.high[known, channel],
-        tolerance=evidence.tolerance[known, channel],
+        low=drawn.low[known, channel],
+        high=drawn.high[known, channel],
+        tolerance=drawn.tolerance[known, channel],
     )
 
 
-def _bounded(evidence: Evidence, channel: int) -> NDArray[np.bool_]:
-    low, high = evidence.low[:, channel], evidence.high[:, channel]
-    known: NDArray[np.bool_] = evidence.tested[:, channel] & np.isfinite(low) & np.isfinite(high)
+def _bounded(evidence: Evidence) -> NDArray[np.bool_]:
+    """Windows and channels with a finite interval."""
+    known: NDArray[np.bool_] = (
+        evidence.tested & np.isfinite(evidence.low) & np.isfinite(evidence.high)
+    )
     return known
+
+
+def _decided_share(evidence: Evidence) -> float:
+    low, high, tolerance = evidence.low, evidence.high, evidence.tolerance
+    inside = (low > -tolerance) & (high < tolerance)
+    outside = (low > tolerance) | (high < -tolerance)
+    return float((inside | outside)[_bounded(evidence)].mean())

@@ -9,7 +9,7 @@ from fdilog.finding import SIZE_UNIT, Finding
 from fdilog.recording import Problem
 from fdilog.sources import SourceInfo
 from fdilog_reports import sentences
-from fdilog_reports.residuals import intervals
+from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
     SHOWN_TEXT,
@@ -167,11 +167,10 @@ def _guaranteed(finding: Finding) -> str:
 
 def channel_rows(analysis: Analysis) -> tuple[tuple[ChannelRow, ...], str]:
     """Rows of the channel table, and the title of its column of interval half-widths."""
-    rows, lengths = [], set()
+    drawn = drawn_evidence(analysis)
+    rows = []
     for column, channel in enumerate(analysis.table.channels):
-        bars = intervals(analysis, column)
-        if bars is not None:
-            lengths.add(figure(bars.length_s))
+        bars = intervals(drawn, column)
         sigma = analysis.sigma_rad_s[column]
         rows.append(
             ChannelRow(
@@ -186,7 +185,7 @@ def channel_rows(analysis: Analysis) -> tuple[tuple[ChannelRow, ...], str]:
                 remark="derived: a witness, never accused" if channel.derived else "",
             )
         )
-    return tuple(rows), f"{' or '.join(sorted(lengths))} s" if lengths else ""
+    return tuple(rows), f"{figure(drawn.windows.length_s)} s" if drawn is not None else ""
 
 
 def source_row(source: SourceInfo) -> SourceRow:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Finding, Size
-from fdilog_reports.residuals import intervals
+from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
     between,
@@ -41,6 +41,9 @@ KIND_NAME = {
     "mounting": "mounting",
     "disagreement": "disagreement of no known kind",
 }
+
+MOST_GROUPS = 3
+"""Groups of suspects that the verdict names; more of them are only counted there."""
 
 PARALLEL = 1.0 - 1e-9
 """Cosine from which two axes are one line."""
@@ -234,17 +237,17 @@ def _failed(analysis: Analysis) -> str:
     for together in dict.fromkeys(tuple(kinds) for kinds in alone.values()):
         names = [shown(name) for name, kinds in alone.items() if tuple(kinds) == together]
         parts.append(f"{listed(names)} failed ({listed(together)})")
-    if len(groups) == 1:
-        names = [shown(name) for name in groups[0]]
-        parts.append(f"{listed(names, 'or')} failed, and this log cannot tell which")
-    elif groups:
-        parts.append(
-            f"{'in' if alone else 'In'} each of {len(groups)} groups of channels one failed, and"
-            " this log cannot tell which"
-        )
+    if groups:
+        each = [f"one of {listed([shown(name) for name in group])}" for group in groups]
+        if len(groups) > MOST_GROUPS:
+            each = [f"one in each of {len(groups)} groups of channels"]
+        parts.append(f"{', and '.join(each)} failed, and this log cannot tell which")
     if not parts:
         return "A gyro failed."
-    return f"{'; '.join(parts)}: {several(len(analysis.findings), 'finding')}."
+    said = "; ".join(parts)
+    if not alone:
+        said = said[0].upper() + said[1:]
+    return f"{said}: {several(len(analysis.findings), 'finding')}."
 
 
 def _why_nothing(analysis: Analysis) -> str:
@@ -301,18 +304,16 @@ def blind_spots(analysis: Analysis) -> list[str]:
 
 def _sharpness(analysis: Analysis) -> list[str]:
     """Say how far beyond the tolerance an error must be to show."""
-    widths: dict[float, list[float]] = {}
-    for column in range(len(analysis.table.channels)):
-        bars = intervals(analysis, column)
-        if bars is not None:
-            widths.setdefault(bars.length_s, []).append(DEG_PER_RAD * bars.median_half_width)
-    said = []
-    for length_s, values in sorted(widths.items()):
-        least, most = figure(min(values), 2), figure(max(values), 2)
-        range_ = f"{least} deg/s" if least == most else f"{least} to {most} deg/s, by channel"
-        said.append(
-            f"Over {figure(length_s)} s a channel's error is known to within {range_} (median"
-            " half-width of its intervals); an error that lasts so long shows only if it exceeds"
-            " the tolerance by as much."
-        )
-    return said
+    drawn = drawn_evidence(analysis)
+    bars = [intervals(drawn, column) for column in range(len(analysis.table.channels))]
+    widths = [DEG_PER_RAD * bar.median_half_width for bar in bars if bar is not None]
+    if drawn is None or not widths:
+        return []
+    least, most = figure(min(widths), 2), figure(max(widths), 2)
+    within = f"{least} deg/s" if least == most else f"{least} to {most} deg/s, by channel"
+    said = (
+        f"Over {figure(drawn.windows.length_s)} s a channel's error is known to within {within}"
+        " (median half-width of its intervals); an error that lasts so long shows only if it"
+        " exceeds the tolerance by as much."
+    )
+    return [said]

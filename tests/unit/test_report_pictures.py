@@ -16,7 +16,7 @@ from fdilog.table import Channel, ChannelTable
 from fdilog_reports import html
 from fdilog_reports.figures import RateAxis, TimeAxis, envelope, outline
 from fdilog_reports.residual_picture import residual_picture
-from fdilog_reports.residuals import intervals, residuals
+from fdilog_reports.residuals import Intervals, drawn_evidence, intervals, residuals
 from fdilog_reports.timeline import channel_state, timeline
 from tests.reports_factory import (
     DEG,
@@ -163,25 +163,40 @@ def test_the_largest_difference_is_named_with_its_time() -> None:
     assert panel.peak == "-250 deg/s at 77.00 s"
 
 
+def drawn_bars(made: Analysis, channel: int = 0) -> Intervals:
+    bars = intervals(drawn_evidence(made), channel)
+    assert bars is not None
+    return bars
+
+
 def test_bars_are_the_deciding_detectors_intervals() -> None:
     made = table()
     first, second = evidence(made, detector="parity"), evidence(made, detector="difference")
-    bars = intervals(analysis(made, evidence=(first, second)), 4)
-    assert bars is not None
+    bars = drawn_bars(analysis(made, evidence=(first, second)), 4)
     assert bars.detector == "parity"
     np.testing.assert_array_equal(bars.low, first.low[:, 4])
 
 
-def test_bars_come_from_the_shortest_windows_that_can_be_told_apart() -> None:
+def test_what_is_said_of_single_samples_decides_no_picture() -> None:
     made = table()
-    all_lengths = tuple(evidence(made, length) for length in (0.2, 1.0, 5.0, 30.0))
-    assert [len(e.windows) for e in all_lengths] == [1199, 239, 47, 7]
-    bars = intervals(analysis(made, evidence=all_lengths), 0)
-    assert bars is not None
-    assert bars.length_s == 1.0
-    only = intervals(analysis(made, evidence=all_lengths[:1]), 0)
-    assert only is not None
-    assert only.length_s == 0.2
+    each = dataclasses.replace(
+        evidence(made, detector="guaranteed"),
+        windows=dataclasses.replace(windows(made, 5.0), length_s=0.0),
+    )
+    bars = drawn_bars(analysis(made, evidence=(each, evidence(made, detector="parity"))))
+    assert (bars.detector, bars.length_s) == ("parity", 5.0)
+
+
+def test_bars_come_from_the_shortest_windows_that_mostly_decide() -> None:
+    made = table(noise_deg_s=1.0)
+    lengths = {length: evidence(made, length) for length in (0.2, 1.0, 5.0, 30.0)}
+    assert [len(e.windows) for e in lengths.values()] == [1199, 239, 47, 7]
+    low, high, limit = lengths[1.0].low, lengths[1.0].high, lengths[1.0].tolerance
+    assert ((low > -limit) & (high < limit)).mean() < 0.5
+    assert drawn_bars(analysis(made, evidence=tuple(lengths.values()))).length_s == 5.0
+    # Where no length decides, the longest says at least how little is known.
+    few = (lengths[0.2], lengths[1.0])
+    assert drawn_bars(analysis(made, evidence=few)).length_s == 1.0
 
 
 def test_every_bar_stands_in_one_path_of_its_answer() -> None:

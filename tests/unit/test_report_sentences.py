@@ -93,8 +93,8 @@ def test_a_fault_that_lasts_from_end_to_end_is_said_to() -> None:
 def test_several_failures_are_counted_and_named() -> None:
     findings = (bias(("imu1.y",)), bias(("imu0.x", "imu1.x")), bias(("imu1.y",), start_s=80.0))
     assert verdict_sentence(pair_analysis(findings=findings)) == (
-        "imu1.y failed (constant error); imu0.x or imu1.x failed, and this log cannot tell which:"
-        " 3 findings."
+        "imu1.y failed (constant error); one of imu0.x and imu1.x failed, and this log cannot tell"
+        " which: 3 findings."
     )
 
 
@@ -169,3 +169,15 @@ def test_how_sharp_the_intervals_were_is_said() -> None:
     half_widths = [DEG_PER_RAD * np.median(made.evidence[0].high - made.evidence[0].low, 0) / 2]
     least, most = f"{np.min(half_widths):.2g}", f"{np.max(half_widths):.2g}"
     assert f"within {least} to {most} deg/s, by channel" in said
+
+
+def test_groups_of_suspects_are_named_as_long_as_a_sentence_holds_them() -> None:
+    findings = tuple(bias((f"imu0.{axis}", f"imu1.{axis}")) for axis in "xy")
+    assert verdict_sentence(pair_analysis(findings=findings)) == (
+        "One of imu0.x and imu1.x, and one of imu0.y and imu1.y failed, and this log cannot tell"
+        " which: 2 findings."
+    )
+    many = tuple(bias((f"a{k}", f"b{k}")) for k in range(5))
+    assert verdict_sentence(pair_analysis(findings=many)).startswith(
+        "One in each of 5 groups of channels failed"
+    )
