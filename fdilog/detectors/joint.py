@@ -220,7 +220,10 @@ def joint_suspects(
         One minus the false-alarm rate of a whole window.
     isolation
         Share of the likelihood that the hypotheses kept must hold together: with 0.8 a channel
-        is named alone where it is four times as likely as all the others together.
+        is named alone where it is four times as likely as all the others together. More names
+        fewer channels alone and fewer wrongly: on 43 000 draws of [Triads], windows of 100 rates
+        and 99 % confidence, 0.8 gave 99.1 % alone and 0.03 % wrong, 0.9 98.8 and 0.01, 0.99 96.1
+        and none. The default was chosen on such draws, not derived.
 
     Returns
     -------

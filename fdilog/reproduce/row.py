@@ -55,7 +55,9 @@ def rounded(table: str, quantity: str, *, printed: float, ours: float, places: i
     )
 
 
-def counted(table: str, quantity: str, *, printed: float, ours: float, trials: int) -> Row:
+def counted(
+    table: str, quantity: str, *, printed: float, ours: float, trials: int, remark: str = ""
+) -> Row:
     """Compare a share that the paper counted in a number of random trials.
 
     It agrees if the printed share lies in the central 95 % of what that number of trials gives
@@ -68,5 +70,5 @@ def counted(table: str, quantity: str, *, printed: float, ours: float, trials: i
         printed=printed,
         ours=ours,
         agrees=abs(ours - printed) <= half_width,
-        note=f"95 % of {trials} trials: within {half_width:.4f}",
+        note="; ".join(filter(None, [f"95 % of {trials} trials: within {half_width:.4f}", remark])),
     )
