@@ -153,8 +153,8 @@ def rows(seed: int) -> list[Row]:
             agrees=len(found) == len(FAILURES),
             note=(
                 "another vessel of the same model, as the paper's coefficients are illegible; "
-                "sizes, noise, gain and threshold are chosen here, so this shows that the method can do "
-                "it, not that the paper's run is repeated"
+                "sizes, noise, gain and threshold are chosen here, so this shows that the method "
+                "can do it, not that the paper's run is repeated"
             ),
         )
     ]
