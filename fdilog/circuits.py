@@ -16,6 +16,10 @@ import numpy as np
 
 from fdilog.geometry import RANK_TOLERANCE, Floats
 
+SERIAL_PRODUCT = 2**18
+"""Multiplications above which OpenBLAS may start threads; on small matrices they mostly wait for
+one another, and on a busy machine they cost tenfold."""
+
 
 def find_circuits(axes: Floats) -> Floats:
     """List all circuits of the sensitivity axes, the parity checks of the fewest channels.
@@ -63,3 +67,27 @@ def find_circuits(axes: Floats) -> Floats:
         np.put_along_axis(new, candidates[dependent], null_vectors, axis=1)
         relations = np.concatenate([relations, new])
     return relations
+
+
+def linear_forms(forms: Floats, columns: Floats, *, out: Floats | None = None) -> Floats:
+    """Evaluate a few linear forms, such as relations, on many samples without starting threads.
+
+    Parameters
+    ----------
+    forms : (n_forms, n_channels)
+        Coefficients of each form. [1]
+    columns : (n_channels, n_samples)
+        Readings z, a column a sample. [any]
+
+    Returns
+    -------
+    values : (n_forms, n_samples)
+        ``forms @ columns``; this is ``out`` if given. [unit of columns]
+    """
+    if out is None:
+        out = np.empty((len(forms), columns.shape[1]))
+    width = max(1, SERIAL_PRODUCT // max(1, forms.size))
+    for start in range(0, columns.shape[1], width):
+        strip = slice(start, start + width)
+        np.matmul(forms, columns[:, strip], out=out[:, strip])
+    return out

@@ -28,7 +28,7 @@ from math import comb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.circuits import find_circuits
+from fdilog.circuits import find_circuits, linear_forms
 from fdilog.geometry import Floats, checked_readings
 
 ROUNDING = 32 * np.finfo(float).eps
@@ -43,10 +43,6 @@ BLOCK = 5000
 functionals of one channel (22 rows for six skewed gyros) fit a second-level cache of 1 MB; not a
 power of two, or all rows would compete for the same places in that cache."""
 
-
-SERIAL_PRODUCT = 2**18
-"""Multiplications above which OpenBLAS may start threads; on small matrices they mostly wait for
-one another, and on a busy machine they cost tenfold."""
 
 _UNBOUNDED = np.array(np.inf)
 
@@ -257,7 +253,7 @@ class _Workspace:
         if not len(plan.relations):
             return
         residuals = self.residuals
-        _product(plan.relations, z, out=residuals)
+        linear_forms(plan.relations, z, out=residuals)
         np.abs(residuals, out=residuals)
         for channel, infinite in self.missing.items():
             through = plan.relations[:, channel] != 0.0
@@ -265,7 +261,7 @@ class _Workspace:
         if (residuals.max(axis=1) <= plan.limits).all():
             return
         sizes = np.empty_like(residuals)
-        _product((plan.relations != 0.0).astype(float), np.abs(z), out=sizes)
+        linear_forms((plan.relations != 0.0).astype(float), np.abs(z), out=sizes)
         holds = residuals <= plan.limits[:, None] + ROUNDING * sizes
         for circuit in np.flatnonzero(~np.logical_and.reduce(holds, axis=1)).tolist():
             feasible[plan.subsets[circuit]] &= holds[circuit]
@@ -296,7 +292,7 @@ class _Workspace:
         """Upper and negated lower bound (2, length) of one channel's true reading."""
         count = len(target.functionals)
         rows = self.buffer[: 2 * count * self.length].reshape(2 * count, self.length)
-        _product(target.rows, self.readings, out=rows)
+        linear_forms(target.rows, self.readings, out=rows)
         slots = self.slots[:count]
         for gone, infinite in self.missing.items():
             for slot in np.flatnonzero(target.functionals[:, gone]).tolist():
@@ -323,14 +319,6 @@ class _Workspace:
             _greatest(few, kept, few_caps, best=other, spare=spare)
             best[:, short] = np.maximum(best[:, short], np.minimum(other, few[-1]))
         return best
-
-
-def _product(matrix: Floats, columns: Floats, *, out: Floats) -> None:
-    """Multiply in strips of columns so narrow that no threads are started."""
-    width = max(1, SERIAL_PRODUCT // matrix.size)
-    for start in range(0, columns.shape[1], width):
-        strip = slice(start, start + width)
-        np.matmul(matrix, columns[:, strip], out=out[:, strip])
 
 
 def _greatest(

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.circuits import find_circuits
+from fdilog.circuits import find_circuits, linear_forms
 from fdilog.geometry import Floats, checked_readings
 
 ROUNDING = 64 * np.finfo(float).eps
@@ -100,8 +100,8 @@ def _patterns(
 def _errors(z: Floats, axes: Floats) -> Floats:
     """Errors of complete readings (n, n_samples)."""
     plan = _plan(axes.tobytes(), len(axes))
-    residuals = plan.relations @ z
-    norms = plan.weights @ np.abs(residuals)
+    residuals = linear_forms(plan.relations, z)
+    norms = linear_forms(plan.weights, np.abs(residuals))
     tied = norms <= norms.min(axis=0) + ROUNDING * np.abs(z).sum(axis=0)
     errors = np.zeros_like(z)
     for basis, best in zip(plan.bases, tied, strict=True):
