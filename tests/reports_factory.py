@@ -8,19 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.analysis import (
-    Analysis,
-    Calibration,
-    ClockOffset,
-    Completeness,
-    Isolability,
-    LogInfo,
-    SourceInfo,
-)
+from fdilog.analysis import Analysis, ClockOffset, Completeness, Isolability, LogInfo
+from fdilog.calibration import Calibration
 from fdilog.config import Config
 from fdilog.finding import Evidence, Finding, Interval, Size, Windows
 from fdilog.geometry import blocks, detectable, isolability_groups, leave_one_out
 from fdilog.recording import Problem
+from fdilog.sources import SourceInfo
 from fdilog.table import Channel, ChannelTable
 
 DEG = np.pi / 180.0

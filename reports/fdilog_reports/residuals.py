@@ -127,7 +127,7 @@ class Intervals:
         return float(np.median(self.high - self.low) / 2.0)
 
 
-MOST_WINDOWS = 240
+MOST_WINDOWS = 120
 """More intervals than this beside one another are a smear on paper: longer windows are drawn."""
 
 

@@ -15,6 +15,7 @@ _FOLDER = Path(__file__).parent / "templates"
 # Everything that CommonMark or its tables and autolinks could take for markup. An underscore
 # inside a word is none, and most channel and topic names would be unreadable with it escaped.
 _MARKDOWN = re.compile(r"[\\`*\[\]<>|#~!&@]|(?<=:)/|(?<![^\W_])_|_(?![^\W_])|(?i:(?<=www)\.)")
+_NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=(?:deg/s|s|%)(?:\W|$))")
 _BACKTICKS = re.compile("`+")
 
 
@@ -38,10 +39,17 @@ def code_block(text: str, language: str = "") -> Verbatim:
     return Verbatim(f"{fence}{language}\n{text.rstrip()}\n{fence}")
 
 
+def unbroken(sentence: str) -> str:
+    """Keep a number and its unit on one line."""
+    return _NUMBER_AND_UNIT.sub("\u00a0", sentence)
+
+
 @cache
 def html_environment() -> Environment:
     """Return the environment of the HTML template."""
-    return _environment(autoescape=True)
+    environment = _environment(autoescape=True)
+    environment.filters["unbroken"] = unbroken
+    return environment
 
 
 @cache

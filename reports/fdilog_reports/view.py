@@ -113,7 +113,7 @@ def report(analysis: Analysis) -> Report:
             Fact(label="SHA-256 of the log", value=shown(log.sha256, SHOWN_TEXT)),
             Fact(label="SHA-256 of the configuration", value=analysis.config.sha256),
             *(
-                Fact(label=shown(key).capitalize(), value=shown(value, SHOWN_TEXT))
+                Fact(label=f"Vehicle: {shown(key)}", value=shown(value, SHOWN_TEXT))
                 for key, value in (log.vehicle or {}).items()
             ),
             Fact(label="fdilog", value=fdilog.__version__),

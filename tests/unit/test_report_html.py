@@ -112,7 +112,9 @@ def test_the_verdict_is_a_word_a_sentence_and_a_shape() -> None:
     text = html.render(failed_analysis())
     banner = text[text.index('class="verdict is-failed"') : text.index('<dl class="facts">')]
     assert '<p class="word">Failed</p>' in banner
-    assert "imu1.y read 2.0 deg/s too much (99.9 %: 1.7 to 2.3) from 40.1 s to 60.2 s." in banner
+    sentence = "imu1.y read 2.0 deg/s too much (99.9 %: 1.7 to 2.3) from 40.1 s to 60.2 s."
+    assert sentence in banner.replace("\u00a0", " ")
+    assert "2.0\u00a0deg/s" in banner
     assert "<svg" in banner
 
 
