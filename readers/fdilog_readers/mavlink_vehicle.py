@@ -1,0 +1,102 @@
+"""What a MAVLink log says of the vehicle: who sent what, when it was armed, and UTC."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog_readers.mavlink_messages import LATEST_NS, SINCE_BOOT, Messages
+
+ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+# A sender that does not know UTC says zero, or counts from 1970; no vehicle is older than this.
+YEAR_2000_NS = 946_684_800 * 10**9
+# FIRMWARE_VERSION_TYPE: the least number of each kind of release.
+RELEASES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
+
+
+def name_of(sender: int) -> str:
+    """System and component, as in 1.1."""
+    return f"{sender >> 8}.{sender & 0xFF}"
+
+
+def autopilot_of(own: Mapping[str, Messages]) -> int | None:
+    """Which autopilot a sender says it is, in most of its heartbeats."""
+    beats = own.get("HEARTBEAT")
+    return int(np.bincount(beats.columns["autopilot"]).argmax()) if beats else None
+
+
+def vehicle(sender: int, own: Mapping[str, Messages]) -> dict[str, str]:
+    """Say what flew, in the protocol's words, from HEARTBEAT and AUTOPILOT_VERSION."""
+    from pymavlink.dialects.v20 import all as generated
+
+    facts = {"system": name_of(sender)}
+    if beats := own.get("HEARTBEAT"):
+        for fact, enum in (("autopilot", "MAV_AUTOPILOT"), ("type", "MAV_TYPE")):
+            number = int(np.bincount(beats.columns[fact]).argmax())
+            entry = generated.enums[enum].get(number)
+            facts[fact] = entry.name.removeprefix(f"{enum}_").lower() if entry else str(number)
+    if version := own.get("AUTOPILOT_VERSION"):
+        packed = int(version.columns["flight_sw_version"][-1])
+        release = next(word for least, word in RELEASES if packed & 0xFF >= least)
+        facts["firmware"] = ".".join(str(packed >> k & 0xFF) for k in (24, 16, 8)) + release
+        if uid := int(version.columns["uid"][-1]):
+            facts["uid"] = f"{uid:016x}"
+    return facts
+
+
+def armed(own: Mapping[str, Messages], reference: Messages) -> tuple[tuple[int, int], ...] | None:
+    """Spans in which the heartbeats say that the vehicle was armed. [ns]
+
+    Parameters
+    ----------
+    reference
+        The messages that tell time; a span that no heartbeat ends, ends with them.
+    """
+    beats = own.get("HEARTBEAT")
+    if beats is None:
+        return None
+    flag = beats.columns["base_mode"] & ARMED_FLAG != 0
+    return spans(beats.time_ns, flag, int(reference.time_ns[-1]))
+
+
+def spans(
+    time_ns: NDArray[np.int64], flag: NDArray[np.bool_], last_ns: int
+) -> tuple[tuple[int, int], ...]:
+    """Make spans of a flag that is told again and again.
+
+    Parameters
+    ----------
+    time_ns, flag : (n,)
+        When each report came [ns], and what it said.
+    last_ns
+        End of a span that no report ends. [ns]
+    """
+    ends = [int(time_ns[k]) for k in np.flatnonzero(np.diff(flag, prepend=False))]
+    if len(ends) % 2:
+        ends.append(max(last_ns, ends[-1]))
+    return tuple(zip(ends[::2], ends[1::2], strict=True))
+
+
+def utc_at_zero(own: Mapping[str, Messages], reference: Messages) -> int | None:
+    """UTC at zero of the reference's clock, or None if the log does not say. [ns]
+
+    SYSTEM_TIME is the vehicle's own word; the receive stamps add the delay of the link.
+    """
+    if reference.clock != SINCE_BOOT:
+        return 0 if (reference.stamp_ns > YEAR_2000_NS).all() else None
+    told = own.get("SYSTEM_TIME")
+    if told is not None and told.clock == SINCE_BOOT:
+        utc_us = np.minimum(told.columns["time_unix_usec"], LATEST_NS // 1000).astype(np.int64)
+        zero_ns = _middle(utc_us * 1000, told.time_ns)
+        if zero_ns is not None:
+            return zero_ns
+    return _middle(reference.stamp_ns, reference.time_ns)
+
+
+def _middle(utc_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> int | None:
+    """Median of UTC at zero over those stamps that can be UTC, to the nanosecond."""
+    zero_ns = (utc_ns - time_ns)[utc_ns > YEAR_2000_NS]
+    # The middle value itself: as floating point it would be off by tens of nanoseconds.
+    return int(np.sort(zero_ns)[len(zero_ns) // 2]) if len(zero_ns) else None

@@ -1,0 +1,212 @@
+"""Write a MAVLink tlog: what a ground station would have recorded of an ArduPilot vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.errors import UsageError
+from fdilog.recording import Recording, Stream
+from fdilog_readers.mavlink_dialect import CHECKSUM_BYTES, HEADER_V2, V2, checksums, dialect
+
+suffix = ".tlog"
+
+Times = NDArray[np.int64]
+
+STAMP_BYTES = 8
+SYSTEM, COMPONENT = 1, 1
+STANDARD_GRAVITY_M_S2 = 9.80665
+HEARTBEAT_NS = 1_000_000_000
+QUADROTOR, ARDUPILOT, ARMED, ACTIVE, STANDBY, PROTOCOL = 2, 3, 128, 4, 3, 3
+ANGLES = ("roll", "pitch", "yaw")
+ACCELEROMETER_UPDATED, GYRO_UPDATED = 0x07, 0x38
+# ArduPilot's own choice of message for its first, second and third sensor.
+SENSOR_MESSAGES = ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
+
+
+class Messages(NamedTuple):
+    """Messages of one kind to be written.
+
+    Parameters
+    ----------
+    message_id
+        Which message.
+    time_ns : (n,)
+        When each was received, on the recording's clock. [ns]
+    payload : (n, size) uint8
+        The whole payload.
+    """
+
+    message_id: int
+    time_ns: Times
+    payload: NDArray[np.uint8]
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Write the gyros of a recording, its attitude, armed spans and UTC, as a tlog.
+
+    Up to three sensors go out as ArduPilot sends them (whole millirad/s and milli-g, 16 bits, and
+    no message where a reading is no number); more than three as HIGHRES_IMU with its id. A stream
+    with ``roll``, ``pitch`` and ``yaw`` becomes ATTITUDE.
+
+    Raises
+    ------
+    UsageError
+        If a device is no triad: the protocol has no message for it.
+    """
+    sensors = [s for s in recording.streams if s.gyro and s.origin == "sensor"]
+    sensors.sort(key=lambda s: (s.sensor is None, s.sensor or 0, s.name))
+    for sensor in sensors:
+        if len(sensor.gyro) != 3:
+            raise UsageError(
+                f"{path}: MAVLink has no message for the {len(sensor.gyro)} gyros of {sensor.name};"
+                " write .csv"
+            )
+    if len(sensors) <= len(SENSOR_MESSAGES):
+        sent = [_scaled(s, name) for s, name in zip(sensors, SENSOR_MESSAGES, strict=False)]
+    else:
+        sent = [_highres(s, number) for number, s in enumerate(sensors)]
+    sent += [_attitude(s) for s in recording.streams if s.columns.keys() >= {*ANGLES}]
+    sent += _once_a_second(recording, sensors)
+    path.write_bytes(tlog(sent, recording.utc_at_zero_ns or 0))
+
+
+def tlog(messages: Iterable[Messages], utc_at_zero_ns: int = 0) -> bytes:
+    """Put messages in order of time, frame them as MAVLink 2, and stamp each with UTC."""
+    kinds = [kind for kind in messages if len(kind.time_ns)]
+    if not kinds:
+        return b""
+    time_ns = np.concatenate([kind.time_ns for kind in kinds])
+    order = np.argsort(time_ns, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    lengths = [_sent_length(kind.payload) for kind in kinds]
+    overhead = STAMP_BYTES + HEADER_V2 + CHECKSUM_BYTES
+    end = np.cumsum(np.concatenate(lengths)[order] + overhead)
+    out = np.zeros(int(end[-1]), np.uint8)
+    first = 0
+    for kind, length in zip(kinds, lengths, strict=True):
+        mine = place[first : first + len(kind.time_ns)]
+        first += len(kind.time_ns)
+        stamp = ((kind.time_ns + utc_at_zero_ns) // 1000).astype(">u8")
+        for one in np.unique(length):
+            rows = np.flatnonzero(length == one)
+            packets = _framed(kind.message_id, kind.payload[rows, :one], mine[rows], stamp[rows])
+            opaque = f"V{packets.shape[1]}"
+            places = np.ndarray((len(out) - packets.shape[1] + 1,), opaque, out, 0, (1,))
+            places[end[mine[rows]] - packets.shape[1]] = packets.view(opaque)[:, 0]
+    return out.tobytes()
+
+
+def _sent_length(payload: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Bytes of each payload that are sent: all but the zeros at its end, and one at least."""
+    size = payload.shape[1]
+    filled = payload[:, ::-1] != 0
+    return np.where(filled.any(axis=1), size - filled.argmax(axis=1), 1)
+
+
+def _framed(
+    message_id: int, payload: NDArray[np.uint8], number: Times, stamp: NDArray[Any]
+) -> NDArray[np.uint8]:
+    """Stamp, header, payload and checksum of packets of one message and length."""
+    n, length = payload.shape
+    covered = STAMP_BYTES + HEADER_V2 + length
+    packets = np.zeros((n, covered + CHECKSUM_BYTES), np.uint8)
+    packets[:, :STAMP_BYTES] = stamp.view(np.uint8).reshape(n, STAMP_BYTES)
+    head = packets[:, STAMP_BYTES:]
+    head[:, 0] = V2
+    head[:, 1] = length
+    head[:, 4] = number & 0xFF
+    head[:, 5:7] = SYSTEM, COMPONENT
+    head[:, 7:10] = [*message_id.to_bytes(3, "little")]
+    head[:, HEADER_V2 : HEADER_V2 + length] = payload
+    known = dialect()
+    extra = np.full(n, known.extra[known.row_of(message_id)])
+    checksum = checksums(
+        packets[:, STAMP_BYTES + 1 :], np.full(n, covered - STAMP_BYTES - 1), extra
+    )
+    packets[:, covered:] = checksum.astype("<u2")[:, None].view(np.uint8)
+    return packets
+
+
+def messages(name: str, time_ns: Times, **fields: Any) -> Messages:
+    """Lay out messages of one name; fields that are not given are zero."""
+    known = dialect()
+    message_id = known.id_of(name)
+    if message_id is None:
+        raise UsageError(f"no MAVLink message is called '{name}'")
+    layout = known.layout(message_id)
+    payload = np.zeros(len(time_ns), layout)
+    for field, values in fields.items():
+        payload[field] = values
+    return Messages(message_id, time_ns, payload.view(np.uint8).reshape(-1, layout.itemsize))
+
+
+def _scaled(stream: Stream, name: str) -> Messages:
+    values: dict[str, NDArray[Any]] = {}
+    for axis, column in zip("xyz", stream.gyro, strict=True):
+        values[f"{axis}gyro"] = stream.columns[column] * 1e3
+    for axis, column in zip("xyz", stream.accelerometer, strict=False):
+        values[f"{axis}acc"] = stream.columns[column] / STANDARD_GRAVITY_M_S2 * 1e3
+    if "temperature" in stream.columns:
+        values["temperature"] = stream.columns["temperature"] * 100
+    sent = np.isfinite(np.column_stack(list(values.values()))).all(axis=1)
+    time_ns = stream.time_ns[sent]
+    fields = {field: _int16(column[sent]) for field, column in values.items()}
+    if name == "RAW_IMU":
+        return messages(name, time_ns, time_usec=time_ns // 1000, **fields)
+    return messages(name, time_ns, time_boot_ms=time_ns // 1_000_000, **fields)
+
+
+def _highres(stream: Stream, number: int) -> Messages:
+    fields: dict[str, Any] = {"id": number, "time_usec": stream.time_ns // 1000}
+    fields["fields_updated"] = GYRO_UPDATED | ACCELEROMETER_UPDATED * bool(stream.accelerometer)
+    for axis, column in zip("xyz", stream.gyro, strict=True):
+        fields[f"{axis}gyro"] = stream.columns[column]
+    for axis, column in zip("xyz", stream.accelerometer, strict=False):
+        fields[f"{axis}acc"] = stream.columns[column]
+    return messages("HIGHRES_IMU", stream.time_ns, **fields)
+
+
+def _attitude(stream: Stream) -> Messages:
+    angles = {name: stream.columns[name] for name in ANGLES}
+    return messages("ATTITUDE", stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **angles)
+
+
+def _once_a_second(recording: Recording, sensors: list[Stream]) -> list[Messages]:
+    """HEARTBEAT with the armed flag, and SYSTEM_TIME where UTC is known."""
+    ends = [int(s.time_ns[k]) for s in sensors if len(s.time_ns) for k in (0, -1)]
+    if not ends:
+        return []
+    time_ns = np.arange(min(ends), max(ends) + HEARTBEAT_NS, HEARTBEAT_NS)
+    armed = np.zeros(len(time_ns), bool)
+    for start, end in recording.armed or ():
+        armed |= (time_ns >= start) & (time_ns <= end)
+    beats = messages(
+        "HEARTBEAT",
+        time_ns,
+        type=QUADROTOR,
+        autopilot=ARDUPILOT,
+        base_mode=np.where(armed, ARMED, 0),
+        system_status=np.where(armed, ACTIVE, STANDBY),
+        mavlink_version=PROTOCOL,
+    )
+    if recording.utc_at_zero_ns is None:
+        return [beats]
+    unix_us = (time_ns + recording.utc_at_zero_ns) // 1000
+    boot_ms = time_ns // 1_000_000
+    return [
+        beats,
+        messages("SYSTEM_TIME", time_ns, time_unix_usec=unix_us, time_boot_ms=boot_ms),
+    ]
+
+
+def _int16(values: NDArray[Any]) -> NDArray[np.int16]:
+    """Round and saturate, as the sender does."""
+    limits = np.iinfo(np.int16)
+    whole: NDArray[np.int16] = np.clip(np.rint(values), limits.min, limits.max).astype(np.int16)
+    return whole
