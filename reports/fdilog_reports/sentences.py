@@ -29,7 +29,7 @@ _PRINTED_UNIT = {
 _PRINTED_FACTOR = {"scale": (100.0, "%"), "noise": (1.0, "times")}
 
 KIND_NAME = {
-    "bias": "constant error",
+    "bias": "bias",
     "drift": "drift",
     "scale": "scale error",
     "noise": "excess noise",
@@ -160,7 +160,7 @@ _CLAIM = {
     "bias": "read {amount} {much}{interval}",
     "drift": "drifted {up} by {amount}{interval}",
     "scale": "read rates {amount} {large}{interval}",
-    "noise": "was {amount} as noisy as it should be{interval}",
+    "noise": "was {amount} as noisy as the others{interval}",
     "impulse": "jumped {up} by {amount}{interval}",
     "dropout": "was silent for {amount} while others went on{interval}",
     "stuck": "was stuck at one value",
@@ -179,7 +179,7 @@ _UNSIZED = {
     "bias": "read a wrong rate, by how much the log does not bound,",
     "drift": "drifted, how fast the log does not bound,",
     "scale": "read rates in a wrong scale, by how much the log does not bound,",
-    "noise": "was noisier than it should be",
+    "noise": "was noisier than the others",
     "impulse": "jumped",
     "dropout": "was silent while others went on",
     "stuck": "was stuck at one value",

@@ -63,7 +63,7 @@ def test_where_the_size_depends_on_the_suspect_it_says_whose_it_is() -> None:
         ),
         (
             {"kind": "noise", "size": size(4.2, 3.1, 5.5, "1")},
-            "was 4.2 times as noisy as it should be (99.9 %: 3.1 to 5.5)",
+            "was 4.2 times as noisy as the others (99.9 %: 3.1 to 5.5)",
         ),
         (
             {"kind": "dropout", "size": size(1.3, 1.3, 1.3, "s", 1.0)},
@@ -93,7 +93,7 @@ def test_a_fault_that_lasts_from_end_to_end_is_said_to() -> None:
 def test_several_failures_are_counted_and_named() -> None:
     findings = (bias(("imu1.y",)), bias(("imu0.x", "imu1.x")), bias(("imu1.y",), start_s=80.0))
     assert verdict_sentence(pair_analysis(findings=findings)) == (
-        "imu1.y failed (constant error); one of imu0.x and imu1.x failed, and this log cannot tell"
+        "imu1.y failed (bias); one of imu0.x and imu1.x failed, and this log cannot tell"
         " which: 3 findings."
     )
 
