@@ -13,11 +13,18 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fdilog.detectors.one_norm import one_norm_errors
+from fdilog.detectors.vote import ballot, voted_evidence
+from fdilog.finding import Evidence
 from fdilog.geometry import RANK_TOLERANCE, Floats, checked_readings, residual_projector
+from fdilog.registry import Stage
+from fdilog.windows import Survey
 
 
 def least_squares_errors(readings: ArrayLike, axes: ArrayLike) -> Floats:
@@ -86,3 +93,38 @@ def normalised_residuals(errors: Floats, axes: ArrayLike, sigma: ArrayLike) -> F
     redundancy[redundancy <= RANK_TOLERANCE] = np.nan
     residuals: Floats = errors / (np.asarray(sigma) * np.sqrt(redundancy))
     return residuals
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeastSquaresDetector:
+    """Data snooping: the largest normalised residual is struck out and the fit repeated.
+
+    The interval of an error is that of the channel against the fit of all others but those struck
+    out.
+    """
+
+    description: ClassVar[str] = "largest normalised residual of least squares [Baarda68]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel with the largest normalised residual, where some disagree."""
+
+        def snoop(readings: Floats, axes: Floats) -> Floats:
+            # The noise is the same for all channels and does not change which is the largest.
+            return np.abs(normalised_residuals(least_squares_errors(readings, axes), axes, 1.0))
+
+        naming = ballot(snoop, largest=True)
+        return [voted_evidence("least-squares", survey, naming, intervals=True)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeastAbsoluteDetector:
+    """The largest residual of least absolute deviations is struck out and the fit repeated."""
+
+    description: ClassVar[str] = "largest residual of least absolute deviations [Matasov24, rival]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel that lies farthest from the fit, where some disagree."""
+        naming = ballot(lambda z, h: np.abs(least_absolute_errors(z, h)), largest=True)
+        return [voted_evidence("least-absolute", survey, naming)]

@@ -8,11 +8,23 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.detectors.vote import named_channel
-from fdilog.geometry import RANK_TOLERANCE, Floats, checked_axes, checked_readings
+from fdilog.detectors.vote import ballot, named_channel, voted_evidence
+from fdilog.finding import Evidence
+from fdilog.geometry import (
+    RANK_TOLERANCE,
+    Floats,
+    checked_axes,
+    checked_readings,
+    residual_projector,
+)
+from fdilog.registry import Stage
+from fdilog.windows import Survey
 
 
 def innovation_rows(axes: ArrayLike) -> Floats:
@@ -123,3 +135,65 @@ def total_chi_square(k: Floats) -> Floats:
         return np.full(len(k), np.nan)
     total: Floats = k[:, startable[0]].sum(axis=1)
     return total
+
+
+def last_innovation_ratio(readings: ArrayLike, axes: ArrayLike) -> Floats:
+    """Ratio of the last two innovations with each channel last, without running the filter.
+
+    Parameters
+    ----------
+    readings : (n_samples, n_channels)
+        Readings z. [any rate]
+    axes : (n_channels, 3)
+        Sensitivity axes H, of any rank. [1]
+
+    Returns
+    -------
+    ratio : (n_samples, n_channels)
+        beta of the cyclic order that ends with the channel; not-a-number where nothing checks it.
+        [1]
+
+    Notes
+    -----
+    An innovation depends on which channels came before, not on their order, and after all others
+    ``v^2 / S = (G z)_i^2 / G_ii``. So neither a start that spans space nor three unknowns are
+    needed: parallel gyros have one. Where the others do not check the channel before the last, the
+    nearest before it that they check stands in.
+
+    References
+    ----------
+    [Larin15] beta_r; the same figures as `kalman_search` where its filter can be started.
+    """
+    samples, directions = checked_readings(readings, axes)
+    n = len(directions)
+    projector = residual_projector(directions)
+    ratio = np.full(samples.shape, np.nan)
+    for last in range(n):
+        rest = [(last + step) % n for step in range(1, n)]
+        without = residual_projector(directions[rest])
+        checked = np.flatnonzero(np.diag(without) > RANK_TOLERANCE)
+        if projector[last, last] <= RANK_TOLERANCE or not len(checked):
+            continue
+        k_last = (samples @ projector[last]) ** 2 / projector[last, last]
+        before = checked[-1]
+        k_before = (samples[:, rest] @ without[before]) ** 2 / without[before, before]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio[:, last] = k_last / k_before
+    return ratio
+
+
+@dataclass(frozen=True, kw_only=True)
+class KalmanDetector:
+    """Permuted filter as a vote, on every block with two channels more than unknowns.
+
+    Three aligned triads are three blocks of one unknown each: across blocks the rule would compare
+    innovations that have nothing to do with one another. Two aligned triads are not tested.
+    """
+
+    description: ClassVar[str] = "last innovation under cyclic permutation [Larin15]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel that, coming last, surprises most after those before agreed."""
+        naming = ballot(last_innovation_ratio, largest=True)
+        return [voted_evidence("kalman", survey, naming, needs=2)]

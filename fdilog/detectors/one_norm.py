@@ -14,12 +14,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fdilog.circuits import find_circuits, linear_forms
+from fdilog.detectors.vote import voted_evidence
+from fdilog.finding import Evidence
 from fdilog.geometry import Floats, checked_readings
+from fdilog.registry import Stage
+from fdilog.windows import Survey
 
 ROUNDING = 64 * np.finfo(float).eps
 """1-norms closer than this share of the readings are a tie: they sum some tens of rounded terms."""
@@ -135,3 +140,25 @@ def _plan(axes_bytes: bytes, n_channels: int) -> _Plan:
     for row, basis in zip(weights, bases, strict=True):
         row[basis.circuits] = np.abs(basis.scale[:, 0])
     return _Plan(relations=relations, weights=weights, bases=bases)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneNormDetector:
+    """Support of the smallest 1-norm as a vote: all failed channels at once, at any rank.
+
+    Noise puts something into every channel outside the basis, so the support is what exceeds
+    ``tolerance.bias_deg_s``.
+    """
+
+    description: ClassVar[str] = "errors of smallest 1-norm, their support [Larin15, after Lebedev]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channels whose errors are large in the sparsest explanation."""
+        tolerance = np.radians(survey.config.tolerance.bias_deg_s)
+
+        def support(readings: Floats, axes: Floats) -> NDArray[np.bool_]:
+            large: NDArray[np.bool_] = np.abs(one_norm_errors(readings, axes)) > tolerance
+            return large
+
+        return [voted_evidence("one-norm", survey, support)]

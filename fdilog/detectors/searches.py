@@ -11,11 +11,17 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.detectors.vote import named_channel
+from fdilog.detectors.vote import ballot, named_channel, voted_evidence
+from fdilog.finding import Evidence
 from fdilog.geometry import Floats, checked_axes, checked_readings, leave_one_out
+from fdilog.registry import Stage
+from fdilog.windows import Survey
 
 
 def pair_rows(axes: ArrayLike) -> Floats:
@@ -120,3 +126,42 @@ def mean_square_rate_deviation(
         steered = directions @ np.linalg.pinv(rest.T @ rest)
         weights[i] = (steered**2).mean(axis=1)
     return _pair_search(readings, axes, power=2, weights=weights)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanModulusDetector:
+    """Search 1 as a vote; three or more parallel gyros are searched like any other block."""
+
+    description: ClassVar[str] = "mean modulus of differences without a gyro [Triads, search 1]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel without which the others agree best, where some disagree."""
+        naming = ballot(lambda z, h: mean_modulus(z, h)[0], largest=False)
+        return [voted_evidence("mean-modulus", survey, naming)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanSquareDetector:
+    """Search 2 as a vote; three or more parallel gyros are searched like any other block."""
+
+    description: ClassVar[str] = "mean square of differences without a gyro [Triads, search 2]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel without which the others agree best, where some disagree."""
+        naming = ballot(lambda z, h: mean_square(z, h)[0], largest=False)
+        return [voted_evidence("mean-square", survey, naming)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateDeviationDetector:
+    """Search 3 as a vote; parallel gyros move the rate along their own axis only."""
+
+    description: ClassVar[str] = "shift of the body rate without a gyro [Triads, search 3]"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Name the channel without which leaving out another moves the rate least."""
+        naming = ballot(lambda z, h: mean_square_rate_deviation(z, h)[0], largest=False)
+        return [voted_evidence("rate-deviation", survey, naming)]
