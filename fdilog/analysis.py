@@ -216,6 +216,7 @@ def judge(
     comparisons, so that one fault gives one finding and drags no other channel along.
     """
     from fdilog import decision
+    from fdilog import findings as of
     from fdilog.registry import detectors, plugins
     from fdilog.windows import Survey, cut, spans
 
@@ -247,16 +248,19 @@ def judge(
             if detector.stage == "windows":
                 progress(f"{name}, {windows.length_s:g} s windows")
                 compared.extend(detector.detect(survey))
-    biased = decision.bias_findings(heard, sound, compared, config)
+    noisy = [item for item in compared if item.kind == "noise"]
+    compared = [item for item in compared if item.kind == "bias"]
+    biased = of.bias_findings(heard, sound, compared, config)
     findings = [
-        *decision.self_evident_findings(table, alone),
-        *decision.guaranteed_findings(heard, sampled, biased, config),
+        *of.self_evident_findings(table, alone),
+        *of.noise_findings(heard, noisy),
+        *of.guaranteed_findings(heard, sampled, biased, config),
     ]
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
     return Judgement(
         findings=tuple(findings),
         status=decision.channel_status(sound, compared, findings),
-        evidence=(*alone, *sampled, *compared),
+        evidence=(*alone, *sampled, *compared, *noisy),
         calibration=calibration,
     )
 

@@ -24,6 +24,11 @@ SHORTEST_RUN_S = 0.2
 # Chance of a repeat that is assumed of even the finest gyro, so that a few equal readings of a
 # quiet one are never called impossible.
 LEAST_CHANCE = 0.05
+# A gyro whose noise never once crosses one step in this many readings and seconds reads nothing,
+# even if no other channel moves either. A few rows of one reading each may be a table of still
+# pictures of a unit on a bench.
+LONGEST_STILL = 500
+LONGEST_STILL_S = 10.0
 # What moves by fewer steps than this may rest within one step of a coarser gyro.
 MOVING_STEPS = 4.0
 
@@ -105,7 +110,8 @@ def _impossible_runs(
     return [
         (int(rows[a]), int(rows[b - 1]) + 1, float(values[a]))
         for a, b in zip(start[long], stop[long], strict=True)
-        if never_moved or _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1)
+        if _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1)
+        or (never_moved and b - a >= LONGEST_STILL and (b - a) * period_s >= LONGEST_STILL_S)
     ]
 
 

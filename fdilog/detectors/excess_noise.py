@@ -1,0 +1,154 @@
+"""A channel that is noisier than others on its axis, or than it was before.
+
+The noise is seen in the deviation of every reading from the mean of its neighbours, in which the
+motion of the body hardly shows; so even with two gyros on an axis the noisy one is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
+from fdilog.finding import Evidence
+from fdilog.isolation import family_wise_confidence
+from fdilog.noise import student_quantile
+from fdilog.registry import Stage
+from fdilog.windows import Survey
+
+Floats = NDArray[np.float64]
+
+# Below this many readings a ratio of variances means little: at 25, its 99.9 % interval already
+# spans a factor of four.
+FEWEST_SAMPLES = 50
+# Deviations of neighbouring readings share readings; white ones have 35/18 times the variance of
+# their mean square that independent ones have (autocorrelations -2/3 and 1/6, squared, twice).
+SHARED_READINGS = 35.0 / 18.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseDetector:
+    """Ratio of a channel's noise to that of the others on its axis, with an interval."""
+
+    description: ClassVar[str] = "noise far above that of the other gyros on the axis"
+    stage: ClassVar[Stage] = "windows"
+
+    def detect(self, survey: Survey) -> list[Evidence]:
+        """Accuse the channel whose noise ratio is beyond ``tolerance.noise_factor`` for sure.
+
+        Two gyros of different make differ in noise by more than that at rest, where both are
+        quiet, so the noise must matter too. As it is logged, vibration included, it matters if it
+        is larger than the tolerance for a bias. Against what three gyros of an axis agree on, where
+        common vibration cancels, it matters if both the noise and the ratio are as many times
+        larger than over most of the flight.
+        """
+        table, config, windows = survey.table, survey.config, survey.windows
+        size = int(np.median(windows.stop - windows.start)) if len(windows) else 0
+        if size < FEWEST_SAMPLES:
+            return []
+        shape = (len(windows), len(table.channels))
+        low, high = np.full(shape, np.nan), np.full(shape, np.nan)
+        accused = np.zeros(shape, np.int8)
+        factor = config.tolerance.noise_factor
+        deviation = deviations(table) / DEVIATION_GAIN
+        for channel in range(shape[1]):
+            peers = _peers(survey, channel)
+            if not len(peers):
+                continue
+            recorded = np.asarray(table.valid[:, [channel, *peers]].all(axis=1), bool)
+            rows = recorded[:, None]
+            mine, theirs = deviation[:, [channel]] * rows, deviation[:, peers] * rows
+            logged = _ratio(survey, rows, mine**2, (theirs**2).mean(axis=1, keepdims=True))
+            found = logged.surely & (logged.noise > np.radians(config.tolerance.bias_deg_s))
+            shown = logged
+            if len(peers) > 1:
+                # Against the mean of the others, and against what they disagree by themselves.
+                apart = theirs - theirs.mean(axis=1, keepdims=True)
+                disagreement = (apart**2).sum(axis=1, keepdims=True) / (len(peers) - 1)
+                own = (mine - theirs.mean(axis=1, keepdims=True)) ** 2
+                agreed = _ratio(survey, rows, own - disagreement / len(peers), disagreement)
+                grown = agreed.surely & (agreed.noise > factor * np.nanmedian(agreed.noise))
+                grown &= agreed.ratio > factor * np.nanmedian(agreed.ratio)
+                shown = logged if found.any() else agreed
+                found |= grown
+            low[:, channel], high[:, channel] = shown.low, shown.high
+            accused[:, channel] = np.where(found, channel + 1, 0)
+        return [
+            Evidence(
+                detector="noise",
+                kind="noise",
+                windows=windows,
+                tested=np.isfinite(low),
+                low=low,
+                high=high,
+                tolerance=np.full(shape, factor),
+                accused=accused,
+                confidence=config.windows.confidence,
+            )
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseRatio:
+    """Noise of a channel and its ratio to that of others in every window.
+
+    Parameters
+    ----------
+    noise, ratio, low, high : (n_windows,)
+        Noise [rad/s], ratio and its interval [1]; NaN where there are too few readings.
+    surely : (n_windows,) bool
+        Whether the ratio is beyond the tolerance at the family-wise confidence.
+    """
+
+    noise: Floats
+    ratio: Floats
+    low: Floats
+    high: Floats
+    surely: NDArray[np.bool_]
+
+
+def _ratio(survey: Survey, rows: NDArray[np.bool_], mine: Floats, theirs: Floats) -> NoiseRatio:
+    """Compare mean squares over windows; the interval is that of the logarithm of their ratio."""
+    config = survey.config
+    n = _window_sums(rows.astype(float), survey)[:, 0]
+    squares = np.column_stack([mine, theirs])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = _window_sums(squares, survey) / n[:, None]
+        spread = _window_sums(squares**2, survey) / n[:, None] - mean**2
+        # Relative variance of a mean square: that of a normal law, or more where tails are heavy.
+        relative = SHARED_READINGS * np.maximum(spread, 2.0 * mean**2) / n[:, None] / mean**2
+        known = (n >= FEWEST_SAMPLES) & (mean > 0).all(axis=1)
+        log_ratio = np.where(known, 0.5 * np.log(mean[:, 0] / mean[:, 1]), np.nan)
+        doubt = 0.5 * np.sqrt(relative.sum(axis=1))
+    strict = family_wise_confidence(config, survey.windows.length_s, len(survey.table.channels))
+    dof = np.maximum(n / SHARED_READINGS, 1.0)
+    half = student_quantile(dof, config.windows.confidence) * doubt
+    least = log_ratio - student_quantile(dof, strict) * doubt
+    return NoiseRatio(
+        noise=np.where(known, np.sqrt(np.maximum(mean[:, 0], 0.0)), np.nan),
+        ratio=np.exp(log_ratio),
+        low=np.exp(log_ratio - half),
+        high=np.exp(log_ratio + half),
+        surely=known & (least > np.log(config.tolerance.noise_factor)),
+    )
+
+
+def _window_sums(values: Floats, survey: Survey) -> Floats:
+    total = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=total[1:])
+    return total[survey.windows.stop] - total[survey.windows.start]
+
+
+def _peers(survey: Survey, channel: int) -> NDArray[np.int64]:
+    """Channels whose noise is comparable: those along the same axis, else all others."""
+    axes = survey.table.axes
+    along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
+    along[channel] = False
+    if along.any():
+        return np.flatnonzero(along)
+    skewed = len(np.unique(np.round(np.abs(axes), 3), axis=0)) == len(axes) > 3
+    others = np.arange(len(axes))
+    return others[others != channel] if skewed else others[:0]

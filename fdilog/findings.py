@@ -1,0 +1,601 @@
+"""From evidence to findings: accusations that belong together become one fault with one size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.config import Config
+from fdilog.edges import Shape, best_ramp, best_scale, best_step
+from fdilog.finding import SIZE_UNIT, Evidence, Finding, Interval, Kind, Size
+from fdilog.geometry import leave_one_out
+from fdilog.isolation import compare, isolate
+from fdilog.noise import student_quantile, windowed_mean
+from fdilog.table import ChannelTable
+from fdilog.windows import Moments, Survey, spans
+
+# Another shape than a step is believed if its likelihood is a thousand times larger, 2 ln 1000.
+OTHER_SHAPE = 2.0 * np.log(1000.0)
+# Fewer samples have no shape to speak of.
+FEWEST_SHAPED = 20
+# A fault that single samples show, miss and show again within this time is one fault. [s]
+REJOINED_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accusation:
+    """Windows in a row, of one length, in which a detector names the same suspects."""
+
+    kind: Kind
+    detector: str
+    suspects: frozenset[int]
+    start: int
+    stop: int
+    length_s: float
+
+
+def accusations(evidence: Evidence) -> Iterator[Accusation]:
+    """List what one piece of evidence says, windows in a row taken together."""
+    rows = np.flatnonzero(evidence.accused.any(axis=1))
+    patterns, which = np.unique(evidence.accused[rows], axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        here = rows[which == number]
+        start, stop = evidence.windows.start[here], evidence.windows.stop[here]
+        for first, last in _merged(start, stop):
+            for group in np.unique(pattern[pattern > 0]):
+                yield Accusation(
+                    kind=evidence.kind,
+                    detector=evidence.detector,
+                    suspects=frozenset(np.flatnonzero(pattern == group).tolist()),
+                    start=first,
+                    stop=last,
+                    length_s=evidence.windows.length_s,
+                )
+
+
+def _merged(start: NDArray[np.int64], stop: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Join ranges that touch or overlap."""
+    order = np.argsort(start, kind="stable")
+    start, stop = start[order], stop[order]
+    reach = np.maximum.accumulate(stop)
+    fresh = np.concatenate([[True], start[1:] > reach[:-1]]) if len(start) else np.zeros(0, bool)
+    first = np.flatnonzero(fresh)
+    last = np.append(first[1:], len(start)) - 1
+    return [(int(start[a]), int(reach[b])) for a, b in zip(first, last, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cluster:
+    """Accusations of one detector that overlap in time and share a suspect.
+
+    The suspects are those that every accusation names; accusations that have none in common are
+    never joined.
+    """
+
+    suspects: frozenset[int]
+    start: int
+    stop: int
+    longest_s: float
+    members: tuple[Accusation, ...]
+
+    @classmethod
+    def of(cls, member: Accusation) -> Cluster:
+        """Start a cluster from one accusation."""
+        return cls(
+            suspects=member.suspects,
+            start=member.start,
+            stop=member.stop,
+            longest_s=member.length_s,
+            members=(member,),
+        )
+
+    def joined(self, other: Cluster) -> Cluster:
+        """Return both as one."""
+        return Cluster(
+            suspects=self.suspects & other.suspects,
+            start=min(self.start, other.start),
+            stop=max(self.stop, other.stop),
+            longest_s=max(self.longest_s, other.longest_s),
+            members=(*other.members, *self.members),
+        )
+
+
+def clusters(
+    time_s: NDArray[np.float64], accused: Sequence[Accusation], reach_s: float = 0.0
+) -> list[Cluster]:
+    """Join accusations that share a suspect and are no further apart than their windows reach."""
+    found: list[Cluster] = []
+    for item in sorted(accused, key=lambda a: (a.start, a.stop, -a.length_s, sorted(a.suspects))):
+        merged = Cluster.of(item)
+        apart = []
+        for other in found:
+            gap_s = time_s[merged.start] - time_s[other.stop - 1]
+            near = gap_s <= max(merged.longest_s / 2, other.longest_s / 2, reach_s)
+            if near and other.suspects & merged.suspects:
+                merged = merged.joined(other)
+            else:
+                apart.append(other)
+        found = [*apart, merged]
+    return found
+
+
+def bias_findings(
+    table: ChannelTable,
+    calibrated: ChannelTable,
+    evidence: Sequence[Evidence],
+    config: Config,
+) -> list[Finding]:
+    """Turn comparative evidence into findings, each tested and measured over its own span.
+
+    The first detector leads. A finding names the detectors that accuse its suspects at that time,
+    and as dissenting those that accuse nobody then, or somebody else of the same block.
+    """
+    by_detector: dict[str, list[Accusation]] = {}
+    for item in evidence:
+        by_detector.setdefault(item.detector, []).extend(accusations(item))
+    open_accusations = next(iter(by_detector.values()), [])
+    faults: list[Fault] = []
+    while open_accusations:
+        left: list[Accusation] = []
+        for cluster in clusters(table.time_s, open_accusations):
+            fault = _fault(calibrated, cluster, config)
+            faults.append(fault)
+            # What lies apart from the span of the fault is another fault.
+            left.extend(
+                member
+                for member in cluster.members
+                if member.stop <= fault.start or member.start >= fault.stop
+            )
+        open_accusations = left if len(left) < len(open_accusations) else []
+    findings = []
+    for fault in _joined_faults(calibrated, faults, config):
+        finding = _finding(table, fault, config)
+        agree, dissent = [], []
+        for name, said in by_detector.items():
+            named = [a.suspects for a in said if _overlap(table, a, finding)]
+            if any(suspects & fault.suspects for suspects in named):
+                agree.append(name)
+            elif not named or any(_same_block(table, them, fault.suspects) for them in named):
+                dissent.append(name)
+        findings.append(replace(finding, detectors=tuple(agree), dissent=tuple(dissent)))
+    return findings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Suspects, and the shape and span in which they are off; ``removed`` failed meanwhile."""
+
+    suspects: frozenset[int]
+    shape: Shape
+    longest_s: float
+    removed: frozenset[int] = frozenset()
+
+    @property
+    def start(self) -> int:
+        """First sample."""
+        return self.shape.start
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample."""
+        return self.shape.stop
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trace:
+    """What one channel is off by, sample by sample, against the others of its block.
+
+    Parameters
+    ----------
+    rows : (n,) int64
+        Samples of the table.
+    time_s, residual, predicted : (n,)
+        Their times [s], reading less prediction less the level outside the region [rad/s], and
+        prediction [rad/s].
+    """
+
+    rows: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+
+    def placed(self, shape: Shape) -> Shape:
+        """Return a shape found in this trace with its samples counted in the table."""
+        start, stop = int(self.rows[shape.start]), int(self.rows[shape.stop - 1]) + 1
+        return replace(shape, start=start, stop=stop)
+
+    def sigma_of(self, shape: Shape) -> tuple[float, float]:
+        """Long-run noise variance per sample about a shape of this trace, and its dof."""
+        inside = slice(shape.start, shape.stop)
+        form = self.form(shape)
+        looks = windowed_mean((self.residual[inside] - shape.size * form)[None, :, None])
+        return float(looks.covariance[0, 0, 0]) * len(form), float(looks.dof[0])
+
+    def form(self, shape: Shape) -> NDArray[np.float64]:
+        """Shape of size one over its own span."""
+        inside = slice(shape.start, shape.stop)
+        if shape.kind == "drift":
+            return self.time_s[inside] - self.time_s[shape.start]
+        return (
+            self.predicted[inside] if shape.kind == "scale" else np.ones(shape.stop - shape.start)
+        )
+
+
+def _trace(
+    table: ChannelTable, channel: int, removed: frozenset[int], first: int, last: int
+) -> Trace | None:
+    """Trace one channel from the first sample up to the last, or nothing if it cannot be."""
+    row = leave_one_out(table.axes, sorted(removed))[channel]
+    if not bool(np.isfinite(row).all()):
+        return None
+    needed = np.flatnonzero(row != 0)
+    complete = np.asarray(table.valid[:, needed].all(axis=1), bool)
+    residual = np.full(len(complete), np.nan)
+    residual[complete] = table.rate_rad_s[complete][:, needed] @ row[needed]
+    inside = np.zeros(len(complete), bool)
+    inside[first:last] = True
+    rows = np.flatnonzero(complete & inside)
+    if len(rows) < 3:
+        return None
+    outside = complete & ~inside
+    # With little left outside, the usual level is not known and zero is what it should be.
+    level = float(np.median(residual[outside])) if outside.sum() >= len(rows) / 4 else 0.0
+    return Trace(
+        rows=rows,
+        time_s=table.time_s[rows],
+        residual=residual[rows] - level,
+        predicted=table.rate_rad_s[rows, channel] - residual[rows],
+    )
+
+
+def _region(table: ChannelTable, start: int, stop: int, reach_s: float) -> tuple[int, int]:
+    time_s = table.time_s
+    first = int(np.searchsorted(time_s, time_s[start] - reach_s))
+    return first, int(np.searchsorted(time_s, time_s[stop - 1] + reach_s, side="right"))
+
+
+def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
+    """Find the span of a fault, who is accused over just that span, and of what shape it is."""
+    first, last = _region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
+    trace = _trace(table, min(cluster.suspects), frozenset(), first, last)
+    step = Shape(kind="bias", start=cluster.start, stop=cluster.stop, gain=0.0, size=0.0)
+    if trace is not None:
+        step = trace.placed(best_step(trace.residual))
+    fault = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
+    return _shaped(table, _tested(table, fault, config), config)
+
+
+def _shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
+    """Return the fault as a drift or a scale error where that explains far more than a step."""
+    duration_s = float(table.time_s[fault.stop - 1] - table.time_s[fault.start])
+    around = _region(table, fault.start, fault.stop, max(duration_s, fault.longest_s))
+    channel = min(fault.suspects)
+    trace = _trace(table, channel, fault.removed, *around)
+    if trace is None:
+        return fault
+    step = best_step(trace.residual)
+    best = step
+    for other in (
+        best_ramp(trace.residual, trace.time_s),
+        best_scale(trace.residual, trace.predicted),
+    ):
+        if other.stop - other.start < FEWEST_SHAPED:
+            continue
+        noise, dof = trace.sigma_of(other)
+        beyond = other.kind != "scale" or abs(other.size) > config.tolerance.scale
+        if dof > 0 and beyond and other.gain - best.gain > OTHER_SHAPE * noise:
+            best = other
+    return fault if best is step else replace(fault, shape=trace.placed(best))
+
+
+def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
+    """Narrow the suspects by the joint test over the whole span, the strongest that there is."""
+    moments = _moments(table, fault, config)
+    if moments is None:
+        return fault
+    channels = np.array(moments.channels)
+    answer = isolate(moments, table.axes[channels], config, fault.longest_s)
+    accused = answer.accused[0]
+    groups = [
+        frozenset(channels[accused == group].tolist()) for group in np.unique(accused[accused > 0])
+    ]
+    mine = [group & fault.suspects for group in groups if group & fault.suspects]
+    suspects = mine[0] if len(mine) == 1 else fault.suspects
+    others = frozenset[int]().union(*(group for group in groups if not group & suspects))
+    return replace(fault, suspects=suspects, removed=others)
+
+
+def _moments(table: ChannelTable, fault: Fault, config: Config) -> Moments | None:
+    """Return the means of the suspects' block over the span of a fault."""
+    windows = spans(table, np.array([fault.start]), np.array([fault.stop]))
+    survey = Survey(table=table, windows=windows, config=config)
+    return next((m for m in survey.moments if fault.suspects <= set(m.channels)), None)
+
+
+def _joined_faults(table: ChannelTable, faults: Sequence[Fault], config: Config) -> list[Fault]:
+    """Join spans of shared suspects that overlap, or are parted by less than half a window."""
+    kept: list[Fault] = []
+    for fault in sorted(faults, key=lambda f: (f.start, f.stop)):
+        for k, other in enumerate(kept):
+            gap_s = table.time_s[fault.start] - table.time_s[other.stop - 1]
+            near = gap_s <= max(fault.longest_s, other.longest_s) / 2
+            if near and fault.suspects & other.suspects:
+                # A shape that explains the most keeps its edges; two steps become one.
+                shape = max(fault.shape, other.shape, key=lambda s: (s.kind != "bias", s.gain))
+                if shape.kind == "bias":
+                    start, stop = min(fault.start, other.start), max(fault.stop, other.stop)
+                    shape = replace(shape, start=start, stop=stop)
+                both = Fault(
+                    suspects=fault.suspects & other.suspects,
+                    shape=shape,
+                    longest_s=max(fault.longest_s, other.longest_s),
+                )
+                kept[k] = _tested(table, both, config)
+                break
+        else:
+            kept.append(fault)
+    return kept
+
+
+def _finding(table: ChannelTable, fault: Fault, config: Config) -> Finding:
+    names = tuple(table.names[channel] for channel in sorted(fault.suspects))
+    measure = _size if fault.shape.kind == "bias" else _shaped_size
+    return Finding(
+        kind=fault.shape.kind,
+        suspects=names,
+        start_s=float(table.time_s[fault.start]),
+        end_s=float(table.time_s[fault.stop - 1]),
+        size=measure(table, fault, config),
+        detail=_detail(names, fault.shape.kind),
+    )
+
+
+def _size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
+    """Mean error of the first suspect over the span, with its Student interval.
+
+    It is measured against the plain least-squares prediction from the sound channels, in the
+    readings as logged: the offset that the others agree on is the truth it can be held against.
+    """
+    moments = _moments(table, fault, config)
+    if moments is None:
+        return None
+    channels = list(moments.channels)
+    first = channels.index(min(fault.suspects))
+    measured = compare(
+        moments,
+        table.axes[channels],
+        np.ones(len(channels)),
+        removed=[channels.index(c) for c in sorted(fault.removed) if c in channels],
+        config=config,
+        family_confidence=config.windows.confidence,
+    )
+    if not measured.tested[first]:
+        return None
+    return _interval(
+        float(measured.error[0, first]), float(measured.half_width[0, first]), "bias", config
+    )
+
+
+def _shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
+    """Rate of drift or scale factor of the first suspect, with its Student interval."""
+    trace = _trace(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
+    if trace is None:
+        return None
+    whole = replace(fault.shape, start=0, stop=len(trace.rows))
+    noise, dof = trace.sigma_of(whole)
+    power = float((trace.form(whole) ** 2).sum())
+    if dof <= 0 or power <= 0:
+        return None
+    quantile = float(student_quantile(np.array([dof]), config.windows.confidence)[0])
+    factor = 1.0 if fault.shape.kind == "scale" else 0.0
+    return _interval(
+        factor + fault.shape.size,
+        quantile * float(np.sqrt(noise / power)),
+        fault.shape.kind,
+        config,
+    )
+
+
+def _interval(estimate: float, half_width: float, kind: Kind, config: Config) -> Size:
+    return Size(
+        estimate=estimate,
+        low=estimate - half_width,
+        high=estimate + half_width,
+        confidence=config.windows.confidence,
+        unit=SIZE_UNIT[kind],
+    )
+
+
+def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
+    """Turn evidence of excess noise into findings, their edges those of the noise itself."""
+    from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
+
+    said = [accusation for item in evidence for accusation in accusations(item)]
+    if not said:
+        return []
+    square = (deviations(table) / DEVIATION_GAIN) ** 2
+    findings = []
+    for cluster in clusters(table.time_s, said):
+        channel = min(cluster.suspects)
+        first, last = _region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
+        rows = first + np.flatnonzero(table.valid[first:last, channel])
+        power = square[rows, channel]
+        # A few readings of a crash must not hide that the noise began long before. Half the mean
+        # of the region parts what is noisy from what is not.
+        power = np.minimum(power, 3.0 * float(np.median(power)))
+        span = best_step(power - float(power.mean()) / 2.0)
+        start, stop = int(rows[span.start]), int(rows[span.stop - 1]) + 1
+        widest = max(evidence, key=lambda item: item.windows.length_s)
+        within = (widest.windows.start < stop) & (widest.windows.stop > start)
+        within &= widest.accused[:, channel] > 0
+        findings.append(
+            Finding(
+                kind="noise",
+                suspects=(table.names[channel],),
+                start_s=float(table.time_s[start]),
+                end_s=float(table.time_s[stop - 1]),
+                size=_ratio(
+                    widest.low[within, channel], widest.high[within, channel], widest.confidence
+                ),
+                detectors=tuple(sorted({member.detector for member in cluster.members})),
+                detail="noisier than the other gyros that sense its axis",
+            )
+        )
+    return findings
+
+
+def _ratio(low: NDArray[np.float64], high: NDArray[np.float64], confidence: float) -> Size | None:
+    """Hull of the noise ratios of all windows: the noise of a flight changes with its vibration."""
+    if not len(low):
+        return None
+    lowest, highest = float(low.min()), float(high.max())
+    return Size(
+        estimate=float(np.sqrt(np.median(low * high))),
+        low=lowest,
+        high=highest,
+        confidence=confidence,
+        unit=SIZE_UNIT["noise"],
+    )
+
+
+def guaranteed_findings(
+    table: ChannelTable, evidence: Sequence[Evidence], findings: list[Finding], config: Config
+) -> list[Finding]:
+    """Add what the guaranteed intervals of single samples say to the findings.
+
+    A finding gets the guaranteed interval of its suspect's mean error over its span: the mean of
+    the intervals of the samples. Where a bound is stated, what they accuse is a finding even if no
+    window showed it; an estimated bound guarantees too little for that.
+    """
+    for item in evidence:
+        findings = [_with_guarantee(table, item, finding) for finding in findings]
+        if config.noise.bound_deg_s > 0.0:
+            found = clusters(table.time_s, list(accusations(item)), reach_s=REJOINED_S)
+            findings += [
+                finding
+                for finding in (_guaranteed(table, item, cluster) for cluster in found)
+                if not any(_same_fault(finding, other) for other in findings)
+            ]
+    return findings
+
+
+def _same_fault(one: Finding, other: Finding) -> bool:
+    overlap = one.start_s <= other.end_s and other.start_s <= one.end_s
+    return overlap and bool(set(one.suspects) & set(other.suspects))
+
+
+def _with_guarantee(table: ChannelTable, evidence: Evidence, finding: Finding) -> Finding:
+    if finding.kind != "bias" or not finding.isolated:
+        return finding
+    channel = table.names.index(finding.suspects[0])
+    rows = (table.time_s >= finding.start_s) & (table.time_s <= finding.end_s)
+    accused = bool((evidence.accused[rows, channel] > 0).any())
+    return replace(
+        finding,
+        guaranteed=_mean_interval(evidence, rows, channel),
+        detectors=(*finding.detectors, evidence.detector) if accused else finding.detectors,
+    )
+
+
+def _mean_interval(evidence: Evidence, rows: NDArray[np.bool_], channel: int) -> Interval | None:
+    low, high = evidence.low[rows, channel], evidence.high[rows, channel]
+    bounded = np.isfinite(low) & np.isfinite(high)
+    if not bounded.any():
+        return None
+    return Interval(low=float(low[bounded].mean()), high=float(high[bounded].mean()))
+
+
+def _guaranteed(table: ChannelTable, evidence: Evidence, cluster: Cluster) -> Finding:
+    channel = min(cluster.suspects)
+    rows = np.zeros(len(table.time_s), bool)
+    for member in cluster.members:
+        rows[member.start : member.stop] = True
+    interval = _mean_interval(evidence, rows, channel)
+    names = tuple(table.names[k] for k in sorted(cluster.suspects))
+    size = None
+    if interval is not None:
+        size = Size(
+            estimate=(interval.low + interval.high) / 2,
+            low=interval.low,
+            high=interval.high,
+            confidence=evidence.confidence,
+            unit=SIZE_UNIT["bias"],
+        )
+    return Finding(
+        kind="bias",
+        suspects=names,
+        start_s=float(table.time_s[cluster.start]),
+        end_s=float(table.time_s[cluster.stop - 1]),
+        size=size,
+        guaranteed=interval,
+        detectors=(evidence.detector,),
+        detail="beyond tolerance for every healthy error within the stated bound",
+    )
+
+
+def _overlap(table: ChannelTable, said: Accusation, finding: Finding) -> bool:
+    start_s, end_s = table.time_s[said.start], table.time_s[said.stop - 1]
+    return bool(start_s <= finding.end_s and end_s >= finding.start_s)
+
+
+def _same_block(table: ChannelTable, one: frozenset[int], other: frozenset[int]) -> bool:
+    from fdilog.geometry import blocks
+
+    return any(set(block) & one and set(block) & other for block in blocks(table.axes))
+
+
+_WORDS: dict[Kind, str] = {
+    "impulse": "single readings far off, confirmed by no other gyro",
+    "dead": "reads exactly zero",
+    "dropout": "silent while other sources go on",
+    "stuck": "repeats one value beyond what its quantisation explains",
+}
+
+
+def _detail(names: tuple[str, ...], kind: Kind) -> str:
+    if kind in _WORDS:
+        return _WORDS[kind]
+    if len(names) == 1:
+        return "reads off from what the other gyros that sense its axis agree on"
+    return (
+        f"{', '.join(names)} disagree and the redundancy of this log cannot tell which of them"
+        f" failed; the size is {names[0]}'s error if it is the one"
+    )
+
+
+def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
+    """Turn evidence of detectors that need no comparison into findings, one a channel and run."""
+    return [
+        Finding(
+            kind=said.kind,
+            suspects=tuple(table.names[channel] for channel in sorted(said.suspects)),
+            start_s=float(table.time_s[said.start]),
+            end_s=float(table.time_s[said.stop - 1]),
+            size=_own_size(item, said),
+            detectors=(said.detector,),
+            detail=_detail((), said.kind),
+        )
+        for item in evidence
+        for said in accusations(item)
+    ]
+
+
+def _own_size(evidence: Evidence, said: Accusation) -> Size | None:
+    """Hull of the intervals that the accusing windows give the first suspect, if they give any."""
+    rows = (evidence.windows.start >= said.start) & (evidence.windows.stop <= said.stop)
+    channel = min(said.suspects)
+    rows &= evidence.accused[:, channel] > 0
+    low, high = evidence.low[rows, channel], evidence.high[rows, channel]
+    if evidence.kind not in SIZE_UNIT or not bool(np.isfinite([low, high]).all()):
+        return None
+    lowest, highest = float(low.min()), float(high.max())
+    return Size(
+        estimate=(lowest + highest) / 2,
+        low=lowest,
+        high=highest,
+        confidence=evidence.confidence,
+        unit=SIZE_UNIT[evidence.kind],
+    )
