@@ -103,7 +103,6 @@ class _Piece:
 
     def link(self, lengths: NDArray[np.int64]) -> None:
         """Find the end of every candidate; to be done again when a length changes."""
-        self._lengths = lengths
         ends = self._places + lengths[self._place_types]
         whole = (ends > self._places) & (ends <= len(self.buffer))
         self.chain = Chain(self._places[whole], ends[whole])
@@ -132,7 +131,6 @@ class _Piece:
         inside = ends + HEADER <= len(buffer)
         next_ = np.where(inside, ends, 0)
         followed = inside & (buffer[next_] == MAGIC_0) & (buffer[next_ + 1] == MAGIC_1)
-        followed &= self._lengths[buffer[next_ + 2]] > 0
         if self.at_end:
             followed |= ends == len(buffer)
         for index in np.flatnonzero((self.types == FMT_TYPE) & ~followed):
