@@ -1,0 +1,312 @@
+"""The messages of one MCAP file, sorted into topics.
+
+Chunks are read ahead of their use and decompressed beside it; of each only the messages of topics
+that hold a gyro are looked at, found by the chunk's own index where the file has one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.recording import Problem
+from fdilog_readers.columns import Bytes, Offsets, rows
+from fdilog_readers.mcap_chunks import (
+    LARGE_BYTES,
+    Chunk,
+    DamagedChunkError,
+    checksum,
+    load,
+    windows,
+)
+from fdilog_readers.mcap_records import (
+    MESSAGE,
+    MESSAGE_FIELDS_BYTES,
+    MESSAGE_HEAD,
+    RECORD,
+    ChannelRecord,
+    ChunkPlace,
+    DamagedRecordError,
+    MessageChain,
+)
+from fdilog_readers.mcap_scan import Contents, FileBytes, Loose, walk
+from fdilog_readers.message_batch import Batch, side_by_side
+from fdilog_readers.message_reading import open_topic
+from fdilog_readers.topics import Topic, Topics
+
+CHUNKS_AHEAD = 3
+
+Timed = tuple[NDArray[np.int64], Batch]
+
+
+class Messages:
+    """Sorts the messages of one file into topics."""
+
+    def __init__(self, topics: Topics, contents: Contents, file: int) -> None:
+        self.topics = topics
+        self.contents = contents
+        self.file = file
+        self.checked = self.unchecked = False
+        self._topic_of: dict[int, Topic] = {}
+        self._counts: Counter[int] = Counter()
+        for channel in list(contents.channels.values()):
+            self._open(channel)
+
+    def take_all(self, data: FileBytes) -> None:
+        """Read the whole file."""
+        with ThreadPoolExecutor(2) as pool:
+            for item in self._loaded(pool, walk(data, self.contents)):
+                self._take(item)
+        for number, count in self._counts.items():
+            if number in self._topic_of:
+                self._topic_of[number].count += count
+        self._check_counts()
+        self._check_data(data)
+
+    def _open(self, channel: ChannelRecord) -> None:
+        schema = self.contents.schemas.get(channel.schema)
+        self._topic_of[channel.id] = open_topic(
+            self.topics,
+            channel.topic,
+            schema.name if schema else "",
+            message_encoding=channel.encoding,
+            schema_encoding=schema.encoding if schema else "",
+            definition=schema.data if schema else b"",
+        )
+
+    @property
+    def _wanted(self) -> frozenset[int]:
+        return frozenset(n for n, topic in self._topic_of.items() if topic.wanted)
+
+    def _topic(self, number: int) -> Topic | None:
+        if number not in self._topic_of and number in self.contents.channels:
+            self._open(self.contents.channels[number])
+        return self._topic_of.get(number)
+
+    def _loaded(
+        self, pool: ThreadPoolExecutor, items: Iterator[ChunkPlace | Loose]
+    ) -> Iterator[Chunk | Loose]:
+        """Read a few chunks ahead of their use, in order."""
+        ahead: deque[Loose | ChunkPlace | Future[Chunk]] = deque()
+        for item in items:
+            if isinstance(item, Loose) or self._only_counted(item):
+                ahead.append(item)
+            else:
+                ahead.append(pool.submit(load, self.file, item, self._wanted))
+            if len(ahead) > CHUNKS_AHEAD:
+                yield _result(ahead.popleft())
+        while ahead:
+            yield _result(ahead.popleft())
+
+    def _is_indexed(self, place: ChunkPlace) -> bool:
+        return bool(place.indexes) and place.indexes.keys() <= self._topic_of.keys()
+
+    def _only_counted(self, place: ChunkPlace) -> bool:
+        """Whether the index tells all that is wanted of a chunk: it holds no gyro."""
+        return self._is_indexed(place) and not self._wanted & place.indexes.keys()
+
+    def _take(self, item: Chunk | Loose) -> None:
+        if isinstance(item, Loose):
+            self.unchecked = True
+            self._sort(item.records, item.offsets)
+        elif item.failure:
+            self._lost(item.place, item.failure)
+        elif item.head is None:
+            self._counts.update(item.place.counts())
+        elif item.records is None:
+            self._take_large(item)
+        elif not (
+            (self._is_indexed(item.place) and self._take_indexed(item, item.records))
+            or self._take_records(item.records) == len(item.records)
+        ):
+            self._lost(item.place, "its records contradict each other")
+        if isinstance(item, Chunk) and item.head:
+            self.checked |= item.head.crc != 0
+            self.unchecked |= item.head.crc == 0
+
+    def _lost(self, place: ChunkPlace, why: str) -> None:
+        problem = Problem(
+            what=f"a chunk is damaged: {why}",
+            offset=place.start,
+            bytes_lost=place.length,
+            seconds_lost=place.seconds,
+        )
+        self.contents.problems.append(problem)
+
+    def _take_indexed(self, chunk: Chunk, records: Bytes) -> bool:
+        """Take the messages that the chunk's index names; nothing, if it does not hold true."""
+        channels = self._wanted & chunk.place.indexes.keys()
+        if channels != chunk.indexes.keys():
+            return False
+        found: list[tuple[Topic, list[Timed]]] = []
+        for topic in {self._topic_of[number] for number in channels}:
+            numbers = [n for n in channels if self._topic_of[n] is topic]
+            entries = chunk.indexes[numbers[0]]
+            if len(numbers) > 1:
+                entries = np.concatenate([chunk.indexes[n] for n in numbers])
+            batches = _at_entries(records, entries, numbers)
+            if batches is None:
+                return False
+            found.append((topic, batches))
+        for topic, batches in found:
+            for times_ns, batch in batches:
+                topic.add(batch, times_ns)
+        self._counts.update(chunk.place.counts())
+        return True
+
+    def _take_records(self, records: Bytes) -> int:
+        """Take records that lie end to end; return how many bytes of them make sense."""
+        chain = MessageChain(records)
+        at = 0
+        while True:
+            offsets, at = chain.follow(at)
+            self._sort(records, offsets)
+            if at + RECORD.size > len(records):
+                return at
+            opcode, length = RECORD.unpack_from(records.data, at)
+            end = at + RECORD.size + length
+            if opcode == MESSAGE or end > len(records):
+                return at
+            try:
+                self.contents.define(opcode, records[at + RECORD.size : end].data)
+            except DamagedRecordError:
+                return at
+            at = end
+
+    def _take_large(self, chunk: Chunk) -> None:
+        """Take a chunk that is too large to have whole; forget it if it proves damaged."""
+        marks = {topic: topic.mark() for topic in self.topics.topics.values()}
+        counts = self._counts.copy()
+        rest = np.empty(0, np.uint8)
+        failure = ""
+        try:
+            for window in windows(self.file, chunk):
+                records = np.concatenate([rest, window])
+                rest = records[self._take_records(records) :]
+                if len(rest) > LARGE_BYTES:
+                    break
+        except DamagedChunkError as error:
+            failure = str(error)
+        if failure or len(rest):
+            self._lost(chunk.place, failure or "its records contradict each other")
+            self._counts = counts
+            for topic in self.topics.topics.values():
+                topic.roll_back(marks.get(topic, (0, 0)))
+
+    def _sort(self, records: Bytes, offsets: Offsets) -> None:
+        """Hand messages of any channels to their topics."""
+        heads = _heads(records, offsets)
+        if heads is None:
+            return
+        channels = heads["channel"]
+        numbers, counts = np.unique(channels, return_counts=True)
+        self._counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
+        topics = {self._topic(number) for number in numbers.tolist()}
+        for topic in topics:
+            if topic and topic.wanted:
+                own = [n for n in numbers.tolist() if self._topic_of.get(n) is topic]
+                here = np.isin(channels, own)
+                for times_ns, batch in _batches(records, offsets[here], heads[here]):
+                    topic.add(batch, times_ns)
+
+    def _check_counts(self) -> None:
+        """Compare with the recorder's own statistics, unless losses are known already."""
+        strange = sum(n for number, n in self._counts.items() if number not in self._topic_of)
+        if strange:
+            what = f"{strange} messages are of channels that are defined nowhere"
+            self.contents.problems.append(Problem(what=what))
+        expected, found = sum(self.contents.counts.values()), sum(self._counts.values())
+        losses = any(not problem.note for problem in self.contents.problems)
+        if self.contents.counts and expected != found and not losses:
+            what = f"the recorder counted {expected} messages, the file holds {found}"
+            self.contents.problems.append(Problem(what=what))
+
+    def _check_data(self, data: FileBytes) -> None:
+        """Check the checksum over everything, where not every message has one of its own."""
+        if not self.unchecked:
+            return
+        if not self.contents.data_crc:
+            what = "some" if self.checked else "the"
+            what += " messages have no checksum: damage inside them cannot be seen"
+            self.contents.problems.append(Problem(what=what, note=True))
+            return
+        crc = 0
+        for at in range(0, self.contents.data_end, LARGE_BYTES):
+            crc = checksum(data.at(at, min(LARGE_BYTES, self.contents.data_end - at)), crc)
+        if crc != self.contents.data_crc:
+            what = "the checksum over all messages is wrong: some bytes are not as recorded"
+            self.contents.problems.append(Problem(what=what))
+
+
+def _result(item: Loose | ChunkPlace | Future[Chunk]) -> Chunk | Loose:
+    if isinstance(item, Future):
+        return item.result()
+    return Chunk(item) if isinstance(item, ChunkPlace) else item
+
+
+def _heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:
+    """Read the heads of the messages at these offsets; None unless there are such."""
+    if not len(offsets):
+        return None
+    low, high = int(offsets.min()), int(offsets.max())
+    if low < 0 or high > len(records) - MESSAGE_HEAD.itemsize:
+        return None
+    opaque = np.dtype((np.void, MESSAGE_HEAD.itemsize))
+    heads: NDArray[np.void] = rows(records, offsets, opaque).view(MESSAGE_HEAD)
+    lengths = heads["length"]
+    longest = (len(records) - RECORD.size - offsets).astype(np.uint64)
+    good = (heads["opcode"] == MESSAGE) & (lengths >= MESSAGE_FIELDS_BYTES) & (lengths <= longest)
+    return heads if good.all() else None
+
+
+def _batches(records: Bytes, offsets: Offsets, heads: NDArray[np.void]) -> Iterator[Timed]:
+    lengths = heads["length"].astype(np.int64) - MESSAGE_FIELDS_BYTES
+    for part, batch in side_by_side(records, offsets, MESSAGE_HEAD.itemsize, lengths):
+        yield heads["log_time"][part], batch
+
+
+def _at_entries(
+    records: Bytes, entries: NDArray[np.void], channels: list[int]
+) -> list[Timed] | None:
+    """Copy the messages that an index names, in file order; None if it names anything else."""
+    offsets: Offsets = entries["offset"].astype(np.int64)
+    if not (offsets[1:] > offsets[:-1]).all():
+        order = np.argsort(offsets)
+        entries, offsets = entries[order], offsets[order]
+        if not (offsets[1:] > offsets[:-1]).all():
+            return None
+    times_ns: NDArray[np.int64] = entries["log_time"]
+    batch = _of_one_length(records, offsets)
+    if batch is not None:
+        heads = np.ndarray(len(batch), MESSAGE_HEAD, batch.rows, 0, batch.rows.strides[:1])
+        if int(heads["channel"][0]) in channels and (heads["log_time"] == times_ns).all():
+            return [(times_ns, batch)]
+    whole = _heads(records, offsets)
+    if whole is None:
+        return None if len(offsets) else []
+    if np.isin(whole["channel"], channels).all() and (whole["log_time"] == times_ns).all():
+        return list(_batches(records, offsets, whole))
+    return None
+
+
+def _of_one_length(records: Bytes, offsets: Offsets) -> Batch | None:
+    """Copy messages that all have the first one's length and channel, as nearly always; or None."""
+    if not len(offsets) or not 0 <= offsets[0] <= len(records) - MESSAGE_HEAD.itemsize:
+        return None
+    first = int(offsets[0])
+    opcode, length = RECORD.unpack_from(records.data, first)
+    width = -(-(RECORD.size + length) // 8) * 8
+    if opcode != MESSAGE or length < MESSAGE_FIELDS_BYTES or offsets[-1] > len(records) - width:
+        return None
+    found = rows(records, offsets, np.dtype((np.void, width))).view(np.uint8).reshape(-1, width)
+    # Opcode, length and channel are the first eleven bytes: two numbers of eight that overlap.
+    for at in (0, 3):
+        column = np.ndarray(len(found), np.uint64, found, at, (width,))
+        if not (column == column[0]).all():
+            return None
+    lengths = np.full(len(found), length - MESSAGE_FIELDS_BYTES, np.int64)
+    return Batch(found, MESSAGE_HEAD.itemsize, lengths)
