@@ -116,7 +116,7 @@ def recording(
     counts
         Number of records by message name, of all of them.
     """
-    reference = _fill_in_time(tables)
+    _fill_in_time(tables)
     units = _told_units(tables, layouts)
     streams = [_stream(name, table, units) for name, table in tables.items()]
     loaded = {name.partition("[")[0] for name in tables}
@@ -133,16 +133,13 @@ def recording(
         streams=tuple(streams),
         problems=(*problems, *_impossible_stamps(tables), NO_CHECKSUMS),
         vehicle=_vehicle(tables) or None,
-        armed=_armed(tables, reference),
+        armed=_armed(tables),
         utc_at_zero_ns=utc_at_zero(gps.columns, gps.time_ns) if gps and gps.clock else None,
     )
 
 
-def _fill_in_time(tables: Mapping[str, Table]) -> Table | None:
-    """Give records without a time that of the record before them, in the longest table that has it.
-
-    Return that table.
-    """
+def _fill_in_time(tables: Mapping[str, Table]) -> None:
+    """Give records without a time that of the record before them, in the longest table with one."""
     timed = [table for table in tables.values() if table.clock]
     reference = max(timed, key=lambda table: len(table.offsets), default=None)
     for table in tables.values():
@@ -155,7 +152,6 @@ def _fill_in_time(tables: Mapping[str, Table]) -> Table | None:
             before = np.searchsorted(reference.offsets, table.offsets) - 1
             table.time_ns = reference.time_ns[np.maximum(before, 0)]
             table.clock = "time of the record before it"
-    return reference
 
 
 def _impossible_stamps(tables: Mapping[str, Table]) -> list[Problem]:
@@ -240,11 +236,7 @@ def _vehicle(tables: Mapping[str, Table]) -> dict[str, str]:
     return vehicle(messages, dict(zip(names, values, strict=False)), "".join(versions[:1]))
 
 
-def _armed(
-    tables: Mapping[str, Table], reference: Table | None
-) -> tuple[tuple[int, int], ...] | None:
-    if reference is None or not len(reference.time_ns):
-        return None
+def _armed(tables: Mapping[str, Table]) -> tuple[tuple[int, int], ...] | None:
     events: list[tuple[int, int, int]] = []
     for name, field_name, number_of in (
         ("EV", "Id", {number: number for number in EVENTS}),
@@ -257,7 +249,10 @@ def _armed(
             if number in number_of
         ]
     told = [(time_ns, number) for _, time_ns, number in sorted(events)]
-    return armed_spans(told, int(reference.time_ns[0]), int(reference.time_ns[-1]))
+    ends = [table.time_ns[[0, -1]].tolist() for table in tables.values() if len(table.time_ns)]
+    if not ends:
+        return None
+    return armed_spans(told, min(first for first, _ in ends), max(last for _, last in ends))
 
 
 def _lists(
