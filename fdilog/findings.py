@@ -207,7 +207,7 @@ class Trace:
         start, stop = int(self.rows[shape.start]), int(self.rows[shape.stop - 1]) + 1
         return replace(shape, start=start, stop=stop)
 
-    def sigma_of(self, shape: Shape) -> tuple[float, float]:
+    def noise_about(self, shape: Shape) -> tuple[float, float]:
         """Long-run noise variance per sample about a shape of this trace, and its dof."""
         inside = slice(shape.start, shape.stop)
         form = self.form(shape)
@@ -217,11 +217,9 @@ class Trace:
     def form(self, shape: Shape) -> NDArray[np.float64]:
         """Shape of size one over its own span."""
         inside = slice(shape.start, shape.stop)
-        if shape.kind == "drift":
-            return self.time_s[inside] - self.time_s[shape.start]
-        return (
-            self.predicted[inside] if shape.kind == "scale" else np.ones(shape.stop - shape.start)
-        )
+        forms = {"drift": self.time_s - self.time_s[shape.start], "scale": self.predicted}
+        form: NDArray[np.float64] = forms.get(shape.kind, np.ones(len(self.time_s)))[inside]
+        return form
 
 
 def _trace(
@@ -276,19 +274,20 @@ def _shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
     trace = _trace(table, channel, fault.removed, *around)
     if trace is None:
         return fault
-    step = best_step(trace.residual)
-    best = step
-    for other in (
-        best_ramp(trace.residual, trace.time_s),
-        best_scale(trace.residual, trace.predicted),
+    whole = _trace(table, channel, fault.removed, 0, len(table.time_s)) or trace
+    best, best_trace = best_step(trace.residual), trace
+    for other, seen in (
+        (best_ramp(trace.residual, trace.time_s), trace),
+        # A scale error shows wherever the rate is high, not only where it was noticed.
+        (best_scale(whole.residual, whole.predicted), whole),
     ):
         if other.stop - other.start < FEWEST_SHAPED:
             continue
-        noise, dof = trace.sigma_of(other)
+        noise, dof = seen.noise_about(other)
         beyond = other.kind != "scale" or abs(other.size) > config.tolerance.scale
         if dof > 0 and beyond and other.gain - best.gain > OTHER_SHAPE * noise:
-            best = other
-    return fault if best is step else replace(fault, shape=trace.placed(best))
+            best, best_trace = other, seen
+    return fault if best.kind == "bias" else replace(fault, shape=best_trace.placed(best))
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
@@ -385,7 +384,7 @@ def _shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | No
     if trace is None:
         return None
     whole = replace(fault.shape, start=0, stop=len(trace.rows))
-    noise, dof = trace.sigma_of(whole)
+    noise, dof = trace.noise_about(whole)
     power = float((trace.form(whole) ** 2).sum())
     if dof <= 0 or power <= 0:
         return None
@@ -428,18 +427,13 @@ def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Fi
         power = np.minimum(power, 3.0 * float(np.median(power)))
         span = best_step(power - float(power.mean()) / 2.0)
         start, stop = int(rows[span.start]), int(rows[span.stop - 1]) + 1
-        widest = max(evidence, key=lambda item: item.windows.length_s)
-        within = (widest.windows.start < stop) & (widest.windows.stop > start)
-        within &= widest.accused[:, channel] > 0
         findings.append(
             Finding(
                 kind="noise",
                 suspects=(table.names[channel],),
                 start_s=float(table.time_s[start]),
                 end_s=float(table.time_s[stop - 1]),
-                size=_ratio(
-                    widest.low[within, channel], widest.high[within, channel], widest.confidence
-                ),
+                size=_ratio(evidence, channel, start, stop),
                 detectors=tuple(sorted({member.detector for member in cluster.members})),
                 detail="noisier than the other gyros that sense its axis",
             )
@@ -447,16 +441,21 @@ def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Fi
     return findings
 
 
-def _ratio(low: NDArray[np.float64], high: NDArray[np.float64], confidence: float) -> Size | None:
-    """Hull of the noise ratios of all windows: the noise of a flight changes with its vibration."""
-    if not len(low):
-        return None
-    lowest, highest = float(low.min()), float(high.max())
+def _ratio(evidence: Sequence[Evidence], channel: int, start: int, stop: int) -> Size:
+    """Hull of the ratios in the longest windows that accuse, since noise changes in a flight."""
+    longest = max(
+        (item for item in evidence if item.accused[:, channel].any()),
+        key=lambda item: item.windows.length_s,
+    )
+    rows = (longest.windows.start < stop) & (longest.windows.stop > start)
+    rows &= longest.accused[:, channel] > 0
+    rows = rows if rows.any() else longest.accused[:, channel] > 0
+    low, high = longest.low[rows, channel], longest.high[rows, channel]
     return Size(
-        estimate=float(np.sqrt(np.median(low * high))),
-        low=lowest,
-        high=highest,
-        confidence=confidence,
+        estimate=float(np.median(np.sqrt(low * high))),
+        low=float(low.min()),
+        high=float(high.max()),
+        confidence=longest.confidence,
         unit=SIZE_UNIT["noise"],
     )
 

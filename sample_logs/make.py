@@ -177,7 +177,7 @@ SAMPLES = (
         gyros="3 IMUs, 25 Hz",
         verdict="failed",
         flight=_flight(8, 60.0, timing=Timing(offset_s=0.0001)),
-        faults=(fault("noise", "imu2.x", 20.0, 50.0, 5.0),),
+        faults=(fault("noise", "imu2.x", 20.0, 50.0, 10.0),),
         suspects=(("imu2.x",),),
     ),
     Sample(

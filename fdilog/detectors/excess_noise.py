@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 # Below this many readings a ratio of variances means little: at 25, its 99.9 % interval already
 # spans a factor of four.
 FEWEST_SAMPLES = 50
+# What is usual is what the quietest quarter of the windows stays below: a fault may last for most
+# of a flight.
+USUAL = 0.25
 # Deviations of neighbouring readings share readings; white ones have 35/18 times the variance of
 # their mean square that independent ones have (autocorrelations -2/3 and 1/6, squared, twice).
 SHARED_READINGS = 35.0 / 18.0
@@ -43,7 +46,7 @@ class NoiseDetector:
         quiet, so the noise must matter too. As it is logged, vibration included, it matters if it
         is larger than the tolerance for a bias. Against what three gyros of an axis agree on, where
         common vibration cancels, it matters if both the noise and the ratio are as many times
-        larger than over most of the flight.
+        larger than in the quietest quarter of the flight.
         """
         table, config, windows = survey.table, survey.config, survey.windows
         size = int(np.median(windows.stop - windows.start)) if len(windows) else 0
@@ -70,8 +73,8 @@ class NoiseDetector:
                 disagreement = (apart**2).sum(axis=1, keepdims=True) / (len(peers) - 1)
                 own = (mine - theirs.mean(axis=1, keepdims=True)) ** 2
                 agreed = _ratio(survey, rows, own - disagreement / len(peers), disagreement)
-                grown = agreed.surely & (agreed.noise > factor * np.nanmedian(agreed.noise))
-                grown &= agreed.ratio > factor * np.nanmedian(agreed.ratio)
+                grown = agreed.surely & (agreed.noise > factor * _usual(agreed.noise))
+                grown &= agreed.ratio > factor * _usual(agreed.ratio)
                 shown = logged if found.any() else agreed
                 found |= grown
             low[:, channel], high[:, channel] = shown.low, shown.high
@@ -134,6 +137,11 @@ def _ratio(survey: Survey, rows: NDArray[np.bool_], mine: Floats, theirs: Floats
         high=np.exp(log_ratio + half),
         surely=known & (least > np.log(config.tolerance.noise_factor)),
     )
+
+
+def _usual(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, USUAL)) if len(known) else np.inf
 
 
 def _window_sums(values: Floats, survey: Survey) -> Floats:

@@ -29,6 +29,9 @@ LEVEL = 0.97
 TIMES_LEVEL = 5.0
 # A deviation counts as confirmed by another channel that shows this part of it at that instant.
 CONFIRMED = 0.3
+# Both neighbours of an impulse are back where the rate was: they differ by less than this part of
+# it. At a step, where a bias begins or ends, they differ by twice the deviation.
+RETURNED = 0.5
 # Without a second gyro on the axis only the other axes of the source can confirm a shock, and some
 # shocks turn the airframe about one axis alone; so three times the tolerance is asked.
 ALONE_FACTOR = 3.0
@@ -101,6 +104,12 @@ def _impulses(
     for at in high.tolist():
         first, last = max(0, at - 1), at + 2
         if size[at] < factor * limit or size[at] < size[first:last].max():
+            continue
+        before, after = (
+            table.rate_rad_s[rows[at - 1], channel],
+            table.rate_rad_s[rows[at + 1], channel],
+        )
+        if abs(after - before) > RETURNED * size[at]:
             continue
         level = float(np.quantile(size[max(0, at - half) : at + half + 1], LEVEL))
         here = slice(rows[first], rows[min(last, len(rows)) - 1] + 1)

@@ -72,8 +72,12 @@ def printed_size(finding: Finding, *, flipped: bool = False) -> PrintedSize | No
     if size is None:
         return None
     scale, unit = _PRINTED_FACTOR.get(finding.kind) or _PRINTED_UNIT.get(size.unit) or (1.0, "")
-    ends = sorted((-size.low, -size.high)) if flipped else (size.low, size.high)
-    estimate = -size.estimate if flipped else size.estimate
+    # A scale factor of 1.2 is said as "20 % too large".
+    usual = 1.0 if finding.kind == "scale" else 0.0
+    ends = [size.low - usual, size.high - usual]
+    estimate = size.estimate - usual
+    if flipped:
+        ends, estimate = [-ends[1], -ends[0]], -estimate
     low, high, middle = rounded(scale * ends[0], scale * ends[1], scale * estimate)
     return PrintedSize(
         estimate=middle,
@@ -88,11 +92,11 @@ def confidence_of(size: Size) -> str:
     return "guaranteed" if size.confidence >= 1.0 else percent(size.confidence)
 
 
-def negative(size: Size) -> bool:
-    """Whether a signed size means "too little"."""
+def negative(size: Size, usual: float = 0.0) -> bool:
+    """Whether a signed size means "too little": less than what is usual."""
     if math.isfinite(size.estimate):
-        return size.estimate < 0.0
-    return size.high < 0.0
+        return size.estimate < usual
+    return size.high < usual
 
 
 def suspects(finding: Finding) -> str:
@@ -135,7 +139,9 @@ def _claim(finding: Finding, analysis: Analysis) -> str:
     size = finding.size
     if size is None:
         return _UNSIZED[finding.kind]
-    flipped = finding.kind in {"bias", "drift", "impulse", "scale"} and negative(size)
+    flipped = (finding.kind in {"bias", "drift", "impulse"} and negative(size)) or (
+        finding.kind == "scale" and negative(size, usual=1.0)
+    )
     printed = printed_size(finding, flipped=flipped)
     amount = str(printed)
     interval = ""

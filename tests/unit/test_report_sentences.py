@@ -58,7 +58,7 @@ def test_where_the_size_depends_on_the_suspect_it_says_whose_it_is() -> None:
             "drifted upwards by 0.057 deg/s per second (99.9 %: 0.045 to 0.069)",
         ),
         (
-            {"kind": "scale", "size": size(-0.072, -0.085, -0.059, "1")},
+            {"kind": "scale", "size": size(0.928, 0.915, 0.941, "1")},
             "read rates 7.2 % too small (99.9 %: 5.9 to 8.5)",
         ),
         (
