@@ -117,6 +117,8 @@ def joint_test(
     sigma: ArrayLike,
     bias_sigma: float,
     scale_sigma: float,
+    *,
+    doubles: bool = True,
 ) -> JointEvidence:
     """Likelihood ratios of every single and double failure, for each window.
 
@@ -133,6 +135,8 @@ def joint_test(
         Standard deviation s_b of healthy biases. [the rate]
     scale_sigma
         Standard deviation s_k of healthy scale errors. [1]
+    doubles
+        Whether pairs are tested too; they take most of the time.
 
     Returns
     -------
@@ -175,7 +179,8 @@ def joint_test(
     matrix, vector = solved[..., :-1], solved[..., -1]
     matrix = (matrix + np.swapaxes(matrix, 1, 2)) / 2.0
 
-    pairs = np.array(list(itertools.combinations(range(n), 2)), dtype=np.intp).reshape(-1, 2)
+    both = itertools.combinations(range(n), 2) if doubles else ()
+    pairs = np.array(list(both), dtype=np.intp).reshape(-1, 2)
     channels = np.arange(n)[:, None]
     single, error, variance = _explained(matrix, vector, floor, np.hstack([channels, channels + n]))
     double, _, _ = _explained(matrix, vector, floor, np.hstack([pairs, pairs + n]))
