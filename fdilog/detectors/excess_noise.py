@@ -7,6 +7,8 @@ motion of the body hardly shows; so even with two gyros on an axis the noisy one
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +26,12 @@ Floats = NDArray[np.float64]
 # Below this many readings a ratio of variances means little: at 25, its 99.9 % interval already
 # spans a factor of four.
 FEWEST_SAMPLES = 50
+# Relative variance of n times a robust sigma from the median modulus of normal readings.
+MEDIAN_VARIANCE = 1.36
+# One over the normal quantile at 3/4: from a median modulus to a sigma.
+NORMAL_MEDIAN = 1.4826
+# Readings gathered at a time, to bound the memory.
+BLOCK_READINGS = 1_000_000
 # What is usual is what the quietest quarter of the windows stays below: a fault may last for most
 # of a flight.
 USUAL = 0.25
@@ -62,17 +70,19 @@ class NoiseDetector:
             if not len(peers):
                 continue
             recorded = np.asarray(table.valid[:, [channel, *peers]].all(axis=1), bool)
-            rows = recorded[:, None]
-            mine, theirs = deviation[:, [channel]] * rows, deviation[:, peers] * rows
-            logged = _ratio(survey, rows, mine**2, (theirs**2).mean(axis=1, keepdims=True))
+            rows = np.flatnonzero(recorded)
+            mine, theirs = deviation[rows, channel], deviation[rows][:, peers]
+            spread = partial(_window_sigmas, survey=survey, rows=rows)
+            squares = [spread(column) ** 2 for column in theirs.T]
+            logged = _ratio(survey, rows, spread(mine) ** 2, np.mean(squares, axis=0))
             found = logged.surely & (logged.noise > np.radians(config.tolerance.bias_deg_s))
             shown = logged
             if len(peers) > 1:
                 # Against the mean of the others, and against what they disagree by themselves.
-                apart = theirs - theirs.mean(axis=1, keepdims=True)
-                disagreement = (apart**2).sum(axis=1, keepdims=True) / (len(peers) - 1)
-                own = (mine - theirs.mean(axis=1, keepdims=True)) ** 2
-                agreed = _ratio(survey, rows, own - disagreement / len(peers), disagreement)
+                apart = [spread(one - two) ** 2 / 2.0 for one, two in pairwise(theirs.T)]
+                disagreement = np.mean(apart, axis=0)
+                own = spread(mine - theirs.mean(axis=1)) ** 2 - disagreement / len(peers)
+                agreed = _ratio(survey, rows, own, disagreement)
                 grown = agreed.surely & (agreed.noise > factor * _usual(agreed.noise))
                 grown &= agreed.ratio > factor * _usual(agreed.ratio)
                 shown = logged if found.any() else agreed
@@ -113,25 +123,20 @@ class NoiseRatio:
     surely: NDArray[np.bool_]
 
 
-def _ratio(survey: Survey, rows: NDArray[np.bool_], mine: Floats, theirs: Floats) -> NoiseRatio:
-    """Compare mean squares over windows; the interval is that of the logarithm of their ratio."""
+def _ratio(survey: Survey, rows: NDArray[np.int64], mine: Floats, theirs: Floats) -> NoiseRatio:
+    """Compare noise powers over windows; the interval is that of the logarithm of their ratio."""
     config = survey.config
-    n = _window_sums(rows.astype(float), survey)[:, 0]
-    squares = np.column_stack([mine, theirs])
+    n = _window_counts(survey, rows)
+    known = (n >= FEWEST_SAMPLES) & (mine > 0) & (theirs > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = _window_sums(squares, survey) / n[:, None]
-        spread = _window_sums(squares**2, survey) / n[:, None] - mean**2
-        # Relative variance of a mean square: that of a normal law, or more where tails are heavy.
-        relative = SHARED_READINGS * np.maximum(spread, 2.0 * mean**2) / n[:, None] / mean**2
-        known = (n >= FEWEST_SAMPLES) & (mean > 0).all(axis=1)
-        log_ratio = np.where(known, 0.5 * np.log(mean[:, 0] / mean[:, 1]), np.nan)
-        doubt = 0.5 * np.sqrt(relative.sum(axis=1))
+        log_ratio = np.where(known, 0.5 * np.log(mine / theirs), np.nan)
+        doubt = np.sqrt(2.0 * MEDIAN_VARIANCE * SHARED_READINGS / n)
     strict = family_wise_confidence(config, survey.windows.length_s, len(survey.table.channels))
     dof = np.maximum(n / SHARED_READINGS, 1.0)
     half = student_quantile(dof, config.windows.confidence) * doubt
     least = log_ratio - student_quantile(dof, strict) * doubt
     return NoiseRatio(
-        noise=np.where(known, np.sqrt(np.maximum(mean[:, 0], 0.0)), np.nan),
+        noise=np.where(known, np.sqrt(np.maximum(mine, 0.0)), np.nan),
         ratio=np.exp(log_ratio),
         low=np.exp(log_ratio - half),
         high=np.exp(log_ratio + half),
@@ -139,15 +144,31 @@ def _ratio(survey: Survey, rows: NDArray[np.bool_], mine: Floats, theirs: Floats
     )
 
 
+def _window_counts(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count the given samples in every window."""
+    return np.searchsorted(rows, survey.windows.stop) - np.searchsorted(rows, survey.windows.start)
+
+
+def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64]) -> Floats:
+    """Robust sigma in every window of values given at some samples, about zero.
+
+    A median, so that the edges of a step and a few impulses are not taken for noise.
+    """
+    first = np.searchsorted(rows, survey.windows.start)
+    counts = _window_counts(survey, rows)
+    sigmas = np.full(len(counts), np.nan)
+    size = np.abs(values)
+    for count in np.unique(counts[counts >= FEWEST_SAMPLES]):
+        here = np.flatnonzero(counts == count)
+        view = np.lib.stride_tricks.sliding_window_view(size, count)
+        for block in np.array_split(here, 1 + len(here) * int(count) // BLOCK_READINGS):
+            sigmas[block] = NORMAL_MEDIAN * np.median(view[first[block]], axis=1)
+    return sigmas
+
+
 def _usual(values: Floats) -> float:
     known = values[np.isfinite(values)]
     return float(np.quantile(known, USUAL)) if len(known) else np.inf
-
-
-def _window_sums(values: Floats, survey: Survey) -> Floats:
-    total = np.zeros((len(values) + 1, values.shape[1]))
-    np.cumsum(values, axis=0, out=total[1:])
-    return total[survey.windows.stop] - total[survey.windows.start]
 
 
 def _peers(survey: Survey, channel: int) -> NDArray[np.int64]:
