@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from pathlib import Path
 
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem, Recording
-from fdilog_readers.mcap_chunks import reserve_heap
+from fdilog_readers.chunks import reserve_heap
+from fdilog_readers.file_bytes import FileBytes, opened
 from fdilog_readers.mcap_messages import Messages
 from fdilog_readers.mcap_records import MAGIC
-from fdilog_readers.mcap_scan import FileBytes, read_summary
+from fdilog_readers.mcap_scan import read_summary
 from fdilog_readers.topics import Topics, utc_at_zero_ns
 
 suffixes = (".mcap",)
@@ -35,27 +35,20 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
         If the file cannot be opened or is no MCAP file.
     """
     topics = Topics(also)
-    try:
-        file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
-    except OSError as error:
-        raise UnreadableLogError(f"{path}: {(error.strerror or str(error)).lower()}") from error
-    try:
-        size = os.fstat(file).st_size
-        problems = read_into(topics, file, size, str(path))
-    finally:
-        os.close(file)
+    with opened(path) as data:
+        problems = read_into(topics, data, str(path))
     streams = topics.streams()
     return Recording(
         path=str(path),
         format="mcap",
-        bytes=size,
+        bytes=data.size,
         streams=streams,
         problems=(*problems, *topics.problems),
         utc_at_zero_ns=utc_at_zero_ns(streams),
     )
 
 
-def read_into(topics: Topics, file: int, size: int, name: str) -> list[Problem]:
+def read_into(topics: Topics, data: FileBytes, name: str) -> list[Problem]:
     """Add the messages of an open MCAP file to the topics, and return what was wrong with it.
 
     Raises
@@ -63,10 +56,9 @@ def read_into(topics: Topics, file: int, size: int, name: str) -> list[Problem]:
     UnreadableLogError
         If the file is no MCAP file.
     """
-    data = FileBytes(file, size)
     if data.at(0, len(MAGIC)) != MAGIC:
         raise UnreadableLogError(f"{name}: no MCAP file: it begins with {data.at(0, 8)!r}")
     reserve_heap()
     contents = read_summary(data)
-    Messages(topics, contents, file).take_all(data)
+    Messages(topics, contents, data).take_all()
     return contents.problems

@@ -6,23 +6,19 @@ that hold a gyro are looked at, found by the chunk's own index where the file ha
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.recording import Problem
+from fdilog_readers import chunks
+from fdilog_readers.chunks import ChunkHead, DamagedChunkError, ahead, checksum, windows
 from fdilog_readers.columns import Bytes, Offsets, rows
-from fdilog_readers.mcap_chunks import (
-    LARGE_BYTES,
-    Chunk,
-    DamagedChunkError,
-    checksum,
-    load,
-    windows,
-)
+from fdilog_readers.file_bytes import FileBytes
+from fdilog_readers.mcap_chunks import Chunk, load
 from fdilog_readers.mcap_records import (
     MESSAGE,
     MESSAGE_FIELDS_BYTES,
@@ -33,12 +29,10 @@ from fdilog_readers.mcap_records import (
     DamagedRecordError,
     MessageChain,
 )
-from fdilog_readers.mcap_scan import Contents, FileBytes, Loose, walk
+from fdilog_readers.mcap_scan import Contents, Loose, walk
 from fdilog_readers.message_batch import Batch, side_by_side
 from fdilog_readers.message_reading import open_topic
 from fdilog_readers.topics import Topic, Topics
-
-CHUNKS_AHEAD = 3
 
 Timed = tuple[NDArray[np.int64], Batch]
 
@@ -46,26 +40,25 @@ Timed = tuple[NDArray[np.int64], Batch]
 class Messages:
     """Sorts the messages of one file into topics."""
 
-    def __init__(self, topics: Topics, contents: Contents, file: int) -> None:
+    def __init__(self, topics: Topics, contents: Contents, data: FileBytes) -> None:
         self.topics = topics
         self.contents = contents
-        self.file = file
+        self.data = data
         self.checked = self.unchecked = False
         self._topic_of: dict[int, Topic] = {}
         self._counts: Counter[int] = Counter()
         for channel in list(contents.channels.values()):
             self._open(channel)
 
-    def take_all(self, data: FileBytes) -> None:
+    def take_all(self) -> None:
         """Read the whole file."""
-        with ThreadPoolExecutor(2) as pool:
-            for item in self._loaded(pool, walk(data, self.contents)):
-                self._take(item)
+        for item in ahead(self._calls()):
+            self._take(item)
         for number, count in self._counts.items():
             if number in self._topic_of:
                 self._topic_of[number].count += count
         self._check_counts()
-        self._check_data(data)
+        self._check_data()
 
     def _open(self, channel: ChannelRecord) -> None:
         schema = self.contents.schemas.get(channel.schema)
@@ -87,20 +80,15 @@ class Messages:
             self._open(self.contents.channels[number])
         return self._topic_of.get(number)
 
-    def _loaded(
-        self, pool: ThreadPoolExecutor, items: Iterator[ChunkPlace | Loose]
-    ) -> Iterator[Chunk | Loose]:
-        """Read a few chunks ahead of their use, in order."""
-        ahead: deque[Loose | ChunkPlace | Future[Chunk]] = deque()
-        for item in items:
-            if isinstance(item, Loose) or self._only_counted(item):
-                ahead.append(item)
+    def _calls(self) -> Iterator[Callable[[], Chunk | Loose]]:
+        """Say how each piece of the file is to be had."""
+        for item in walk(self.data, self.contents):
+            if isinstance(item, Loose):
+                yield partial(_as_it_is, item)
+            elif self._only_counted(item):
+                yield partial(Chunk, item)
             else:
-                ahead.append(pool.submit(load, self.file, item, self._wanted))
-            if len(ahead) > CHUNKS_AHEAD:
-                yield _result(ahead.popleft())
-        while ahead:
-            yield _result(ahead.popleft())
+                yield partial(load, self.data.file, item, self._wanted)
 
     def _is_indexed(self, place: ChunkPlace) -> bool:
         return bool(place.indexes) and place.indexes.keys() <= self._topic_of.keys()
@@ -118,7 +106,7 @@ class Messages:
         elif item.head is None:
             self._counts.update(item.place.counts())
         elif item.records is None:
-            self._take_large(item)
+            self._take_large(item, item.head)
         elif not (
             (self._is_indexed(item.place) and self._take_indexed(item, item.records))
             or self._take_records(item.records) == len(item.records)
@@ -177,17 +165,17 @@ class Messages:
                 return at
             at = end
 
-    def _take_large(self, chunk: Chunk) -> None:
+    def _take_large(self, chunk: Chunk, head: ChunkHead) -> None:
         """Take a chunk that is too large to have whole; forget it if it proves damaged."""
         marks = {topic: topic.mark() for topic in self.topics.topics.values()}
         counts = self._counts.copy()
         rest = np.empty(0, np.uint8)
         failure = ""
         try:
-            for window in windows(self.file, chunk):
+            for window in windows(self.data.file, chunk.place.start, head):
                 records = np.concatenate([rest, window])
                 rest = records[self._take_records(records) :]
-                if len(rest) > LARGE_BYTES:
+                if len(rest) > chunks.LARGE_BYTES:
                     break
         except DamagedChunkError as error:
             failure = str(error)
@@ -225,7 +213,7 @@ class Messages:
             what = f"the recorder counted {expected} messages, the file holds {found}"
             self.contents.problems.append(Problem(what=what))
 
-    def _check_data(self, data: FileBytes) -> None:
+    def _check_data(self) -> None:
         """Check the checksum over everything, where not every message has one of its own."""
         if not self.unchecked:
             return
@@ -235,17 +223,17 @@ class Messages:
             self.contents.problems.append(Problem(what=what, note=True))
             return
         crc = 0
-        for at in range(0, self.contents.data_end, LARGE_BYTES):
-            crc = checksum(data.at(at, min(LARGE_BYTES, self.contents.data_end - at)), crc)
+        for at in range(0, self.contents.data_end, chunks.LARGE_BYTES):
+            crc = checksum(
+                self.data.at(at, min(chunks.LARGE_BYTES, self.contents.data_end - at)), crc
+            )
         if crc != self.contents.data_crc:
             what = "the checksum over all messages is wrong: some bytes are not as recorded"
             self.contents.problems.append(Problem(what=what))
 
 
-def _result(item: Loose | ChunkPlace | Future[Chunk]) -> Chunk | Loose:
-    if isinstance(item, Future):
-        return item.result()
-    return Chunk(item) if isinstance(item, ChunkPlace) else item
+def _as_it_is(item: Loose) -> Loose:
+    return item
 
 
 def _heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:

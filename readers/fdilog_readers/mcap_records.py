@@ -12,6 +12,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog_readers.chunks import ChunkHead
 from fdilog_readers.columns import Bytes, Chain, Offsets
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -98,27 +99,6 @@ class ChunkPlace:
             counts[channel] = (end - at - RECORD.size - 6) // INDEX_ENTRY.itemsize
             end = at
         return counts
-
-
-@dataclass(frozen=True)
-class ChunkHead:
-    """What stands before a chunk's data.
-
-    Parameters
-    ----------
-    data_at, data_length
-        The compressed records, from the beginning of the chunk record. [byte]
-    crc
-        Of the uncompressed records; 0 where the writer made none.
-    """
-
-    start_ns: int
-    end_ns: int
-    size: int
-    crc: int
-    compression: str
-    data_at: int
-    data_length: int
 
 
 class Fields:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fdilog.recording import Problem
+from fdilog_readers.chunks import checksum
 from fdilog_readers.columns import Bytes, Offsets
-from fdilog_readers.mcap_chunks import checksum, read_at
+from fdilog_readers.file_bytes import FileBytes, read_at
 from fdilog_readers.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -43,7 +44,6 @@ from fdilog_readers.mcap_records import (
 
 LOOSE_BYTES = 4 << 20
 SEARCH_BYTES = 1 << 20
-SMALL_BYTES = 1 << 16
 
 # A channel or schema record longer than this is no definition; the largest in use are below 1 MB.
 DEFINITION_BYTES = 16 << 20
@@ -83,26 +83,6 @@ class Loose:
 
     records: Bytes
     offsets: Offsets
-
-
-class FileBytes:
-    """Bytes of a file at any place, small reads served from one window."""
-
-    def __init__(self, file: int, size: int) -> None:
-        self.file = file
-        self.size = size
-        self._window = b""
-        self._start = 0
-
-    def at(self, offset: int, count: int) -> bytes:
-        """Return bytes, fewer only at the end of the file."""
-        inner = offset - self._start
-        if inner < 0 or inner + count > len(self._window):
-            if count > SMALL_BYTES:
-                return read_at(self.file, count, offset)
-            self._window, self._start = read_at(self.file, SMALL_BYTES, offset), offset
-            inner = 0
-        return self._window[inner : inner + count]
 
 
 def read_summary(data: FileBytes) -> Contents:

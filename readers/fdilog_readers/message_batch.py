@@ -50,6 +50,10 @@ class Batch:
             (self.rows.shape[1],),
         )
 
+    def is_like(self, other: Batch) -> bool:
+        """Whether the rows of both may stand in one batch."""
+        return self.lead == other.lead and self.rows.shape[1] == other.rows.shape[1]
+
     def select(self, mask: Mask) -> Batch:
         """Return some of the messages."""
         return Batch(self.rows[mask], self.lead, self.lengths[mask])

@@ -77,7 +77,7 @@ class Topic:
             self.probe = None
         if self.reading is None:
             return
-        if self._pending and self._pending[0][0].rows.shape[1] != batch.rows.shape[1]:
+        if self._pending and not self._pending[0][0].is_like(batch):
             self.decode()
         self._pending.append((batch, times_ns))
         self._pending_bytes += batch.rows.size

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, IndexType
 
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Recording
-from fdilog_readers import mcap, mcap_chunks, mcap_messages
+from fdilog_readers import chunks, mcap
 from tests import bags
 from tests.bags import IMU, assert_part, assert_same, by_time, losses, readings, stream
 
@@ -573,9 +573,8 @@ def test_a_summary_with_a_wrong_checksum_is_not_used(whole: Path, tmp_path: Path
 def test_chunks_too_large_for_memory_are_taken_in_windows(
     compression: CompressionType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mcap_chunks, "LARGE_BYTES", 30_000)
-    monkeypatch.setattr(mcap_messages, "LARGE_BYTES", 30_000)
-    monkeypatch.setattr(mcap_chunks, "WINDOW_BYTES", 7_000)
+    monkeypatch.setattr(chunks, "LARGE_BYTES", 30_000)
+    monkeypatch.setattr(chunks, "WINDOW_BYTES", 7_000)
     path = bags.write_mcap(
         tmp_path / "l.mcap", two(), TWO, chunk_size=100_000, compression=compression
     )

@@ -1,0 +1,234 @@
+"""The records of a ROS 1 bag, format 2.0: headers of named fields, each with data behind it.
+
+Layouts follow http://wiki.ros.org/Bags/Format/2.0.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog_readers.chunks import ChunkHead
+from fdilog_readers.columns import Bytes, Chain, Offsets
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+
+U32 = struct.Struct("<I")
+U64 = struct.Struct("<Q")
+TIME = struct.Struct("<II")
+
+# Connection headers hold a message definition; the largest in use are below 1 MB.
+LARGEST_HEADER = 1 << 20
+INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
+COUNT_ENTRY = struct.Struct("<II")
+
+Header = dict[str, bytes]
+
+
+class DamagedRecordError(Exception):
+    """A record's own lengths contradict each other, or a field is missing; the text says which."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One record: its header, and where its data lies in what it was read from. [byte]"""
+
+    opcode: int
+    header: Header
+    data_at: int
+    data_length: int
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins. [byte]"""
+        return self.data_at + self.data_length
+
+
+def parse_header(raw: bytes | memoryview) -> Header:
+    """Read the fields of a header.
+
+    Raises
+    ------
+    DamagedRecordError
+        If their lengths do not fill it.
+    """
+    fields: Header = {}
+    at = 0
+    while at < len(raw):
+        if at + U32.size > len(raw):
+            raise DamagedRecordError("a header ends inside a field")
+        (length,) = U32.unpack_from(raw, at)
+        at += U32.size
+        if length > len(raw) - at:
+            raise DamagedRecordError("a field is longer than its header")
+        name, separator, value = bytes(raw[at : at + length]).partition(b"=")
+        if not separator or not name:
+            raise DamagedRecordError("a header has a field without a name")
+        fields[name.decode("latin-1")] = value
+        at += length
+    return fields
+
+
+def parse_record(raw: bytes | memoryview, at: int = 0) -> Record:
+    """Read a record's header and the length of its data, which may lie beyond what there is.
+
+    Raises
+    ------
+    DamagedRecordError
+        If no record begins here.
+    """
+    if at + U32.size > len(raw):
+        raise DamagedRecordError("the record is cut")
+    (length,) = U32.unpack_from(raw, at)
+    if length > LARGEST_HEADER:
+        raise DamagedRecordError("a header has an impossible length")
+    data_at = at + U32.size + length + U32.size
+    if data_at > len(raw):
+        raise DamagedRecordError("the record is cut")
+    header = parse_header(raw[at + U32.size : data_at - U32.size])
+    opcode = header.get("op", b"")
+    if len(opcode) != 1 or not MESSAGE <= opcode[0] <= CONNECTION:
+        raise DamagedRecordError("a header tells no kind of record")
+    (data_length,) = U32.unpack_from(raw, data_at - U32.size)
+    return Record(opcode[0], header, data_at, data_length)
+
+
+def number(header: Header, name: str) -> int:
+    """Return a field that is a number of 4 or 8 bytes.
+
+    Raises
+    ------
+    DamagedRecordError
+        If it is missing or of another length.
+    """
+    value = header.get(name, b"")
+    if len(value) not in {4, 8}:
+        raise DamagedRecordError(f"a header has no number '{name}'")
+    return int.from_bytes(value, "little")
+
+
+def time_ns(value: bytes) -> int:
+    """Return a time of two numbers, seconds and nanoseconds. [ns]"""
+    if len(value) != TIME.size:
+        raise DamagedRecordError("a header has no time")
+    seconds, nanoseconds = TIME.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def chunk_head(record: Record) -> ChunkHead:
+    """Return what a chunk's header says; times and a checksum are not in it.
+
+    Raises
+    ------
+    DamagedRecordError
+        If it lacks the size.
+    """
+    compression = record.header.get("compression", b"").decode("latin-1")
+    return ChunkHead(
+        0,
+        0,
+        number(record.header, "size"),
+        0,
+        "" if compression == "none" else compression,
+        record.data_at,
+        record.data_length,
+    )
+
+
+class MessageShape:
+    """The header that the messages of one recorder have, in which only two numbers vary.
+
+    Parameters
+    ----------
+    raw
+        One message record; its header is the model.
+
+    Attributes
+    ----------
+    lead
+        Bytes before a message's data. [byte]
+    """
+
+    def __init__(self, raw: bytes | memoryview) -> None:
+        record = parse_record(raw)
+        self.lead = record.data_at
+        model = bytes(raw[: self.lead])
+        self._at = {}
+        for name, size in (("conn", 4), ("time", 8)):
+            mark = U32.pack(len(name) + 1 + size) + name.encode() + b"="
+            if record.opcode != MESSAGE or model.count(mark) != 1:
+                raise DamagedRecordError("a message header lacks its connection or its time")
+            self._at[name] = model.index(mark) + len(mark)
+        fixed = np.ones(self.lead, np.bool_)
+        fixed[self._at["conn"] : self._at["conn"] + 4] = False
+        fixed[self._at["time"] : self._at["time"] + 8] = False
+        fixed[-4:] = False
+        self._model = np.frombuffer(model, np.uint8)
+        # Where eight bytes are compared at once: every eighth, and the last eight.
+        starts = sorted({*range(0, self.lead - 8, 8), max(0, self.lead - 8)})
+        self._parts = [(at, _mask(fixed, at), _mask(fixed, at, self._model)) for at in starts]
+        self.head = np.dtype(
+            {
+                "names": ["conn", "seconds", "nanoseconds", "length"],
+                "formats": ["<u4"] * 4,
+                "offsets": [
+                    self._at["conn"],
+                    self._at["time"],
+                    self._at["time"] + 4,
+                    self.lead - 4,
+                ],
+                "itemsize": self.lead,
+            }
+        )
+
+    def matches(self, rows: Bytes) -> NDArray[np.bool_]:
+        """Tell which rows begin with such a header."""
+        same = np.ones(len(rows), np.bool_)
+        for at, mask, model in self._parts:
+            words = np.ndarray((len(rows),), np.uint64, rows, at, rows.strides[:1])
+            same &= (words & mask) == model
+        return same
+
+    def chain(self, buffer: Bytes) -> MessageChain:
+        """Find all messages of this shape that a buffer may hold."""
+        room = max(0, len(buffer) - self.lead + 1)
+        places = np.flatnonzero(buffer[:room] == self._model[0])
+        for at, mask, model in self._parts:
+            words = np.ndarray((max(0, len(buffer) - 7),), np.uint64, buffer, 0, (1,))[places + at]
+            places = places[(words & mask) == model]
+        lengths = np.ndarray((max(0, len(buffer) - 3),), np.uint32, buffer, 0, (1,))
+        ends = places + self.lead + lengths[places + (self.lead - 4)].astype(np.int64)
+        inside = ends <= len(buffer)
+        return MessageChain(places[inside], ends[inside])
+
+
+class MessageChain:
+    """Messages of one shape, found among places that may hold one."""
+
+    def __init__(self, starts: Offsets, ends: Offsets) -> None:
+        self._starts = starts
+        self._ends = ends
+        self._chain = Chain(starts, ends)
+
+    def follow(self, at: int) -> tuple[Offsets, int]:
+        """Return the offsets of the messages that follow one another from here, and the end."""
+        if not len(self._starts):
+            return self._starts, at
+        indices, end = self._chain.follow(at)
+        return self._starts[indices], end
+
+    def next_after(self, at: int) -> int | None:
+        """Return where, after damage, messages go on."""
+        later = self._starts[np.searchsorted(self._starts, at) :]
+        return int(later[0]) if len(later) else None
+
+
+def _mask(fixed: NDArray[np.bool_], at: int, values: Bytes | None = None) -> np.uint64:
+    part = np.where(fixed[at : at + 8], 255 if values is None else values[at : at + 8], 0)
+    padded = np.zeros(8, np.uint8)
+    padded[: len(part)] = part
+    return np.uint64(int.from_bytes(padded.tobytes(), "little"))
