@@ -100,7 +100,7 @@ def test_a_chunk_whose_lengths_were_never_filled_in_is_read(
 ) -> None:
     raw = not_closed(whole[compression].read_bytes())
     last = chunk_starts(whole[compression])[-1]
-    head = parse_record(raw, last)
+    head = parse_record(bytes(raw), last)
     size_at = raw.index(b"size=", last) + 5
     raw[size_at : size_at + 4] = bytes(4)
     raw[head.data_at - 4 : head.data_at] = bytes(4)
@@ -122,7 +122,7 @@ def test_a_cut_bag_gives_what_is_before_the_cut(
         counts.append(both(recording) if recording.streams else 0)
         assert any("index cannot be used" in what for what in losses(recording))
     # bzip2 gives nothing of a block of 900 kB that is cut
-    fewest = [0.8, 0.5, 0.2] if compression != "bz2" else [0.4, 0.4, 0.0]
+    fewest = [0.8, 0.5, 0.2] if compression != "bz2" else [0.6, 0.3, 0.0]
     total = len(LEFT) + len(RIGHT)
     assert all(n >= f * total for n, f in zip(counts, fewest, strict=True))
 
