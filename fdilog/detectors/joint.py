@@ -85,7 +85,8 @@ def _information(
     matrix[:, :n, n:] = weighted * total[:, None, :]
     matrix[:, n:, :n] = weighted * total[:, :, None]
     matrix[:, n:, n:] = weighted * square
-    vector = np.concatenate([residual.sum(axis=1), (reading * residual).sum(axis=1)], axis=1)
+    moment = np.einsum("wti,wti->wi", reading, residual)
+    vector = np.concatenate([residual.sum(axis=1), moment], axis=1)
     return matrix, vector
 
 
@@ -167,7 +168,8 @@ def joint_test(
         raise ValueError("sigma, bias_sigma and scale_sigma must be positive")
 
     whole = np.all(np.isfinite(samples), axis=2)
-    samples = np.where(whole[..., None], samples, 0.0)
+    if not whole.all():
+        samples = np.where(whole[..., None], samples, 0.0)
     matrix, vector = _information(samples, directions, noise, whole)
     # In units of the healthy spread the prior is the identity and I + M is symmetric.
     spread = np.repeat([bias_sigma, scale_sigma], n)

@@ -255,26 +255,21 @@ def _noise(block: _Block) -> tuple[Floats, Floats]:
     fitted = rank if block.config.noise.scale_sigma > 0.0 else 0
     to_rate = np.linalg.pinv(block.axes).T @ np.linalg.svd(block.axes)[2][:fitted].T
     variance, dof = np.full(n, np.inf), np.zeros(n)
+    q, to_series = len(parity), np.hstack([to_parity, to_rate])
     for at in _chunks(np.arange(n), size * len(block.axes)):
-        readings = block.gather(at)
-        # Not matmul: BLAS would start threads for a matrix of few columns, and wait for them.
-        left = np.einsum("wti,iq->wtq", readings, to_parity)
-        left -= left.mean(axis=1, keepdims=True)
+        series = block.gather(at) @ to_series
+        series -= series.mean(axis=1, keepdims=True)
+        left, rates = series[..., :q], series[..., q:]
+        products = np.swapaxes(series, 1, 2) @ series
+        spread, across = products[:, :q, :q], products[:, q:, :q]
         if fitted:
-            rates = np.einsum("wti,ir->wtr", readings, to_rate)
-            rates -= rates.mean(axis=1, keepdims=True)
-            fit = np.linalg.pinv(_products(rates, rates), hermitian=True) @ _products(rates, left)
-            left -= np.einsum("wtr,wrq->wtq", rates, fit)
+            fit = np.linalg.pinv(products[:, q:, q:], hermitian=True) @ across
+            # One rate is multiplied, not matrix-multiplied: BLAS starts threads for single columns.
+            left -= rates * fit if fitted == 1 else rates @ fit
+            spread = spread - np.swapaxes(across, 1, 2) @ fit
         looks = windowed_mean(left)
-        known = at[looks.dof > 0]
-        spread = _products(left, left) / (size - 1 - fitted)
-        both = np.stack([looks.covariance * size, spread])[:, looks.dof > 0]
-        variance[known] = np.linalg.eigvalsh(both)[..., -1].max(axis=0)
+        known = looks.dof > 0
+        both = np.stack([looks.covariance * size, spread / (size - 1 - fitted)])[:, known]
+        variance[at[known]] = np.linalg.eigvalsh(both)[..., -1].max(axis=0, initial=0.0)
         dof[at] = np.maximum(looks.dof - fitted, 0.0)
     return np.sqrt(variance), dof
-
-
-def _products(one: Floats, other: Floats) -> Floats:
-    """Sum the products of two sets of series over each window, (n, p, q)."""
-    sums: Floats = np.einsum("wtp,wtq->wpq", one, other)
-    return sums
