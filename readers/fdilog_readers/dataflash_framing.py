@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from fdilog_readers.dataflash_layout import (
     is_fmt,
     parse_fmt,
 )
+from fdilog_readers.losses import Losses
 
 MAGIC_0, MAGIC_1 = 0xA3, 0x95
 # A length is one byte, and the header after it is looked at as well.
@@ -38,33 +39,6 @@ LOOK_AHEAD = 255 + FMT_LENGTH
 # cut off leaves zeros. Neither was ever written as a record.
 FILL = (0x00, 0xFF)
 FEWEST_FILL = 16
-# A log in which every other record is broken would otherwise list millions of places.
-PLACES_LISTED = 100
-
-
-@dataclass
-class Losses:
-    """Every stretch of bytes that is not a record, in file order."""
-
-    places: list[tuple[int, int, str]] = field(default_factory=list)
-    more: tuple[int, int, int] = (0, 0, 0)
-
-    def add(self, offset: int, end: int, what: str) -> None:
-        """Note a loss; beyond the first hundred only their sum is kept."""
-        length = end - offset
-        if len(self.places) < PLACES_LISTED:
-            self.places.append((offset, length, what))
-        else:
-            first, count, total = self.more
-            self.more = (first if count else offset, count + 1, total + length)
-
-    def problems(self) -> Iterator[Problem]:
-        """Return the losses in the recording's words."""
-        for offset, length, what in self.places:
-            yield Problem(what=what, offset=offset, bytes_lost=length)
-        first, count, total = self.more
-        if count:
-            yield Problem(what=f"{count} more places like these", offset=first, bytes_lost=total)
 
 
 @dataclass
@@ -130,7 +104,9 @@ class _Piece:
         buffer, ends = self.buffer, self.chain.ends
         inside = ends + HEADER <= len(buffer)
         next_ = np.where(inside, ends, 0)
-        followed = inside & (buffer[next_] == MAGIC_0) & (buffer[next_ + 1] == MAGIC_1)
+        followed: NDArray[np.bool_] = (
+            inside & (buffer[next_] == MAGIC_0) & (buffer[next_ + 1] == MAGIC_1)
+        )
         if self.at_end:
             followed |= ends == len(buffer)
         for index in np.flatnonzero((self.types == FMT_TYPE) & ~followed):

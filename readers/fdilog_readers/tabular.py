@@ -1,0 +1,190 @@
+"""Tables (.csv, .parquet): one column ``time_s`` and one of each gyro channel.
+
+A header is a name and, in brackets, a unit: ``gx [deg/s]``; without one it is rad/s. Columns whose
+unit is no angular rate (``ax [m/s^2]``) are read but are no gyros. Channels are called what their
+headers say, without the unit.
+
+A name with a dot belongs to the source before its last dot: ``imu0.x``, ``imu0.y`` and ``imu0.z``
+are the stream ``imu0`` with fields x, y, z. All names without a dot are one stream, ``table``. A
+row in which a stream has no reading at all is no record of it, so a source that is slower than the
+table, or falls silent, is seen to do so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.errors import UnreadableLogError
+from fdilog.recording import Problem, Recording, Stream
+from fdilog_readers.tabular_csv import Cells, header_of, read_csv
+from fdilog_readers.tabular_parquet import MAGIC, read_parquet
+
+suffixes = (".csv", ".tsv", ".parquet")
+description = "Table of gyro channels (CSV, Parquet)"
+
+TIME = "time_s"
+UNDOTTED = "table"
+HEADER = re.compile(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))")
+RATE_RAD_S = {
+    "rad/s": 1.0,
+    "mrad/s": 1e-3,
+    "deg/s": np.pi / 180.0,
+    "°/s": np.pi / 180.0,
+    "dps": np.pi / 180.0,
+    "deg/h": np.pi / 180.0 / 3600.0,
+}
+ACCELERATION = {"m/s^2", "m/s²", "m/s/s", "m/s2"}
+# Beyond this a nanosecond count does not fit an int64 with its differences: 146 years.
+LATEST_S = 2**62 / 1e9
+
+
+def sniff(head: bytes) -> bool:
+    """Tell a table by its magic bytes (Parquet) or by a column ``time_s`` in its first row."""
+    return head.startswith(MAGIC) or TIME in header_of(head, TIME)[0]
+
+
+def read(path: Path, also: Collection[str] = ()) -> Recording:  # noqa: ARG001  all is read anyway
+    """Read every column that holds numbers.
+
+    Raises
+    ------
+    UnreadableLogError
+        If the file cannot be read, or has no column ``time_s``.
+    """
+    try:
+        with path.open("rb") as file:
+            magic = file.read(len(MAGIC))
+            size = file.seek(0, 2)
+    except OSError as error:
+        raise UnreadableLogError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    parquet = magic == MAGIC or path.suffix.lower() == ".parquet"
+    cells = read_parquet(path, TIME) if parquet else read_csv(path, TIME)
+    key = cells.headers.index(TIME)
+    time_s = cells.columns[key]
+    possible = np.abs(time_s) < LATEST_S
+    problems = list(cells.problems)
+    if not possible.all():
+        what = f"{int((~possible).sum())} rows have a {TIME} that cannot be"
+        problems.append(Problem(what=what))
+    columns = _named(cells, key, problems)
+    problems.sort(key=lambda problem: (problem.offset is None, problem.offset or 0))
+    return Recording(
+        path=str(path),
+        format="table",
+        bytes=size,
+        streams=tuple(_streams(columns, time_s, possible)),
+        problems=tuple(problems),
+    )
+
+
+@dataclass(frozen=True)
+class _Column:
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+
+    @property
+    def source(self) -> str:
+        return self.name.rpartition(".")[0] or UNDOTTED
+
+    @property
+    def field(self) -> str:
+        return self.name.rpartition(".")[2] or self.name
+
+
+def _named(cells: Cells, key: int, problems: list[Problem]) -> list[_Column]:
+    """Give every column that holds numbers its name and unit, and say why others are left out."""
+    columns: list[_Column] = []
+    names: set[str] = set()
+    for number, header in enumerate(cells.headers):
+        if number == key:
+            continue
+        matched = HEADER.fullmatch(header)
+        name = matched[1] if matched else header
+        unit = (matched[2] or matched[3] or "").strip() if matched else "rad/s"
+        note = ""
+        if not name:
+            note = f"column {number + 1} has no name: left out"
+        elif number in cells.wordy:
+            note = f"column '{name}' holds words, no numbers: left out"
+        elif name in names:
+            note = (
+                f"column '{name}' is there more than once; the later one is '{name}#{number + 1}'"
+            )
+        if note:
+            problems.append(Problem(what=note, note=True))
+        if not name or number in cells.wordy:
+            continue
+        if name in names:
+            name = f"{name}#{number + 1}"
+        names.add(name)
+        # A cell that is no number is a loss of evidence only if it is a gyro's.
+        bad = cells.bad.get(number, [])
+        problems += [replace(p, note=unit not in RATE_RAD_S) for p in bad]
+        columns.append(_Column(name, unit, cells.columns[number]))
+    return columns
+
+
+def _streams(
+    columns: list[_Column], time_s: NDArray[np.float64], possible: NDArray[np.bool_]
+) -> list[Stream]:
+    sources = dict.fromkeys(column.source for column in columns)
+    return [
+        _stream(source, [c for c in columns if c.source == source], time_s, possible)
+        for source in sources
+    ]
+
+
+def _stream(
+    source: str,
+    columns: list[_Column],
+    time_s: NDArray[np.float64],
+    possible: NDArray[np.bool_],
+) -> Stream:
+    gyros = [column for column in columns if column.unit in RATE_RAD_S]
+    there = np.zeros(len(time_s), bool)
+    for column in gyros or columns:
+        there |= ~np.isnan(column.values)
+    there &= possible
+    fields = _fields(columns)
+    values = {}
+    for column in columns:
+        factor = RATE_RAD_S.get(column.unit, 1.0)
+        values[fields[column.name]] = column.values[there] * factor
+    return Stream(
+        name=source,
+        time_ns=nanoseconds(time_s[there]),
+        columns=values,
+        units={
+            fields[c.name]: "rad/s" if c.unit in RATE_RAD_S else c.unit for c in columns if c.unit
+        },
+        clock=TIME,
+        gyro=tuple(fields[column.name] for column in gyros),
+        channel_names=tuple(column.name for column in gyros),
+        accelerometer=tuple(fields[c.name] for c in columns if c.unit in ACCELERATION),
+    )
+
+
+def _fields(columns: list[_Column]) -> dict[str, str]:
+    """Field of each column in its stream: what follows the last dot, where that is unambiguous."""
+    short = [column.field for column in columns]
+    return {c.name: c.field if short.count(c.field) == 1 else c.name for c in columns}
+
+
+def nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Round seconds to nanoseconds, exactly: the product alone would lose the last digits.
+
+    Parameters
+    ----------
+    time_s : (n,)
+        Finite times. [s]
+    """
+    whole = np.floor(time_s)
+    parts = np.round((time_s - whole) * 1e9)
+    return whole.astype(np.int64) * 10**9 + parts.astype(np.int64)
