@@ -15,6 +15,7 @@ from fdilog.calibration import Calibration, calibrate
 from fdilog.config import Config, load_config
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
+from fdilog.offsets import ClockOffset
 from fdilog.recording import Problem, Recording
 from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
@@ -43,16 +44,6 @@ class Completeness:
     bytes_lost: int
     seconds_lost: float
     problems: tuple[Problem, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClockOffset:
-    """By how much a source's stamps run late against the reference source. [s]"""
-
-    source: str
-    offset_s: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +176,7 @@ def analyse_recording(
         table=table,
         status=judged.status,
         sigma_rad_s=tuple(_sigma(table, channel) for channel in range(len(table.channels))),
-        clocks=(),
+        clocks=assembly.clocks,
         calibration=judged.calibration,
         isolability=_isolability(table),
         verdict=_verdict(judged.status, whole=completeness.whole),

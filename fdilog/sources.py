@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from fdilog.clocks import CleanStamps, TimeBase, clean_stamps, hole_threshold_s, place, time_base
 from fdilog.config import Config, GyroSource
 from fdilog.errors import NoGyroError, UsageError, nearest
+from fdilog.offsets import ClockOffset, estimate_offset
 from fdilog.recording import Problem, Recording, Stream
 from fdilog.table import Channel, ChannelTable
 
@@ -21,6 +23,8 @@ MOST_LISTED = 20
 # Two sources this often equal to the last bit are one sensor: noise of two never agrees.
 SAME_SENSOR = 0.99
 FEWEST_TO_COMPARE = 10
+# Offsets below this part of a sampling period stay in; see `_aligned`.
+LEAST_SHIFT = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +75,15 @@ class Assembly:
     ----------
     zero_ns
         The table's time 0 on the recording's clock. [ns]
-    seconds_lost
-        Time inside the log in which no gyro was recorded. [s]
+    clocks
+        Time offsets between the sources, as estimated.
     """
 
     table: ChannelTable
     sources: tuple[SourceInfo, ...]
     problems: tuple[Problem, ...]
     zero_ns: int
-    seconds_lost: float
+    clocks: tuple[ClockOffset, ...]
 
 
 def channel_table(recording: Recording, config: Config | None = None) -> ChannelTable:
@@ -115,12 +119,13 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         for gyro, clean in zip(gyros, stamps, strict=True)
     ]
     gyros, infos = _without_duplicates(gyros, infos)
+    axes = _axes(gyros, config)
+    gyros, clocks = _aligned(gyros, axes, config)
     base = time_base([gyro.time_ns for gyro in gyros], config.tolerance.dropout_s)
     zero_ns = int(base.time_ns[0])
     restarts = [after for clean in stamps for after, _ in clean.restarts]
-    holes, seconds_lost = _holes(base, restarts, config.tolerance.dropout_s)
+    holes = _holes(base, restarts, config.tolerance.dropout_s)
     placed = [place(gyro.time_ns, gyro.rate_rad_s, base) for gyro in gyros]
-    axes = _axes(gyros, config)
     table = ChannelTable(
         time_s=(base.time_ns - zero_ns) / 1e9,
         rate_rad_s=np.concatenate([rate for rate, _ in placed], axis=1),
@@ -133,7 +138,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         sources=tuple(infos),
         problems=(*problems, *_not_finite(gyros), *holes),
         zero_ns=zero_ns,
-        seconds_lost=seconds_lost,
+        clocks=clocks,
     )
 
 
@@ -323,6 +328,44 @@ def _identical(one: Gyro, other: Gyro) -> bool:
     return len(changing) >= FEWEST_TO_COMPARE and float(equal.mean()) >= SAME_SENSOR
 
 
+def _aligned(
+    gyros: list[Gyro], axes: NDArray[np.float64], config: Config
+) -> tuple[list[Gyro], tuple[ClockOffset, ...]]:
+    """Estimate by how much each triad runs late against the first; put right what matters.
+
+    An offset is taken out if it is surely more than a quarter of a sampling period: shifting
+    readings by less would cost more, by interpolation, than it mends.
+    """
+    edges = np.cumsum([0, *(_width(gyro) for gyro in gyros)])
+    frames = [axes[a:b] for a, b in pairwise(edges)]
+    first_ns = int(gyros[0].time_ns[0])
+    moved = gyros[:1]
+    found = []
+    for gyro, frame in zip(gyros[1:], frames[1:], strict=True):
+        offset, late_ns = None, 0
+        if frame.shape == (3, 3) and frame.shape == frames[0].shape:
+            # Both in the body frame: a skewed triad is solved for the rates along x, y, z.
+            offset = estimate_offset(
+                gyro.name,
+                _in_body(gyros[0], frames[0], first_ns),
+                _in_body(gyro, frame, first_ns),
+                config.windows.confidence,
+            )
+        if offset is not None:
+            found.append(offset)
+            surely_s = max(offset.low, -offset.high)
+            if surely_s * _rate_hz(gyro.time_ns) > LEAST_SHIFT:
+                late_ns = round(offset.offset_s * 1e9)
+        moved.append(replace(gyro, time_ns=gyro.time_ns - late_ns))
+    return moved, tuple(found)
+
+
+def _in_body(
+    gyro: Gyro, frame: NDArray[np.float64], first_ns: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return (gyro.time_ns - first_ns) / 1e9, gyro.rate_rad_s @ np.linalg.pinv(frame).T
+
+
 def _axes(gyros: list[Gyro], config: Config) -> NDArray[np.float64]:
     """Sensitivity axes H of all channels, from the configuration or by convention."""
     from fdilog.geometry import named_axes
@@ -449,9 +492,7 @@ def _not_finite(gyros: list[Gyro]) -> list[Problem]:
     return problems
 
 
-def _holes(
-    base: TimeBase, restarts: Sequence[int], dropout_s: float
-) -> tuple[list[Problem], float]:
+def _holes(base: TimeBase, restarts: Sequence[int], dropout_s: float) -> list[Problem]:
     """List the stretches in which every gyro is silent, restarts of the clock apart."""
     steps = np.diff(base.time_ns)
     limit = hole_threshold_s(base.period_ns / 1e9, dropout_s) * 1e9
@@ -473,4 +514,4 @@ def _holes(
         rest = float(lost[MOST_LISTED:].sum())
         what = f"{len(starts) - MOST_LISTED} more holes in which no gyro was recorded"
         problems.append(Problem(what=what, seconds_lost=rest))
-    return problems, float(lost.sum())
+    return problems
