@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -142,17 +141,18 @@ def analyse(
     UsageError
         If the configuration does not fit the log.
     """
-    from fdilog.registry import read
+    from fdilog.opening import opened
+    from fdilog.registry import read_opened
 
     settings = config if isinstance(config, Config) else Config()
     if isinstance(config, str | Path):
         settings = load_config(Path(config))
     say = progress or (lambda _: None)
     say("reading")
-    recording = read(path, [source.topic for source in settings.sources.gyro])
-    return analyse_recording(
-        recording, settings, sha256=_sha256(Path(path)), part=part, progress=say
-    )
+    with opened(Path(path)) as log:
+        recording = read_opened(log, [source.topic for source in settings.sources.gyro])
+        sha256 = log.sha256
+    return analyse_recording(recording, settings, sha256=sha256, part=part, progress=say)
 
 
 def analyse_recording(
@@ -364,11 +364,3 @@ def _sigma(table: ChannelTable, channel: int) -> float:
     if len(readings) < 3:
         return float("nan")
     return float(robust_sigma(np.diff(readings)) / np.sqrt(2.0))
-
-
-def _sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return ""  # a directory of files, or a stream: there is no one content to hash

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from fdilog.errors import UnreadableLogError, UsageError, nearest
+from fdilog.errors import FdilogError, UnreadableLogError, UsageError, nearest
+from fdilog.opening import Opened, head_of, opened
 
 if TYPE_CHECKING:
     from fdilog.analysis import Analysis
     from fdilog.finding import Evidence
     from fdilog.recording import Recording
     from fdilog.windows import Survey
-
-HEAD_BYTES = 4096
 
 Stage = Literal["alone", "samples", "windows"]
 """What a detector is shown: the whole table, to judge each channel by itself, before the others are
@@ -99,7 +99,7 @@ def detectors(names: Collection[str]) -> Iterator[tuple[str, Detector]]:
 
 
 def read(path: str | Path, also: Collection[str] = ()) -> Recording:
-    """Read a log of any known format.
+    """Read a log of any known format, compressed or not; ``-`` is standard input.
 
     The first bytes decide; a suffix only where no reader knows the bytes.
 
@@ -108,8 +108,28 @@ def read(path: str | Path, also: Collection[str] = ()) -> Recording:
     UnreadableLogError
         If nothing can be read, with the path, the place and the reason.
     """
-    path = Path(path)
-    head = _head(path)
+    with opened(Path(path)) as log:
+        return read_opened(log, also)
+
+
+def read_opened(log: Opened, also: Collection[str] = ()) -> Recording:
+    """Read a log that has been unwrapped; see `read`."""
+    recording = read_plain(log.path, also)
+    return replace(
+        recording,
+        path=str(log.named),
+        bytes=log.bytes if log.bytes is not None else recording.bytes,
+        problems=(*log.problems, *recording.problems),
+    )
+
+
+def read_plain(path: Path, also: Collection[str] = ()) -> Recording:
+    """Read a log that is a plain file or a directory; see `read`."""
+    if path.is_dir():
+        raise UnreadableLogError(f"{path}: is a directory, not a log; name the file in it")
+    head = head_of(path)
+    if not head:
+        raise UnreadableLogError(f"{path}: the file is empty")
     readers = plugins("readers")
     name = next((n for n, reader in readers.items() if reader.sniff(head)), None)
     if name is None:
@@ -120,18 +140,13 @@ def read(path: str | Path, also: Collection[str] = ()) -> Recording:
             f"{path}: not a log of any format that is installed ({', '.join(readers)});"
             f" it begins with {head[:8]!r}"
         )
-    recording: Recording = readers[name].read(path, also)
-    return recording
-
-
-def _head(path: Path) -> bytes:
     try:
-        if path.is_dir():
-            raise UnreadableLogError(f"{path}: is a directory, not a log; name the file in it")
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-    except OSError as error:
-        raise UnreadableLogError(f"{path}: {(error.strerror or str(error)).lower()}") from error
-    if not head:
-        raise UnreadableLogError(f"{path}: the file is empty")
-    return head
+        recording: Recording = readers[name].read(path, also)
+    except (FdilogError, MemoryError, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        # A log must never bring the tool down; what a reader did not foresee is said, not shown.
+        raise UnreadableLogError(
+            f"{path}: the {name} reader failed: {type(error).__name__}: {error}"
+        ) from error
+    return recording
