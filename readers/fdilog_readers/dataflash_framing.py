@@ -93,11 +93,7 @@ class _Piece:
         if self._restarts is None:
             self._restarts = self.chain.starts[self._believable()].tolist()
         index = bisect.bisect_right(self._restarts, after)
-        # Near the end of a block a longer record might be found first once its end is there.
-        limit = len(self.buffer) - (0 if self.at_end else LOOK_AHEAD)
-        if index < len(self._restarts) and self._restarts[index] < limit:
-            return self._restarts[index]
-        return None
+        return self._restarts[index] if index < len(self._restarts) else None
 
     def _believable(self) -> NDArray[np.bool_]:
         """Tell which candidates are followed by a header, end the file, or must be FMT."""

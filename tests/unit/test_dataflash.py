@@ -75,6 +75,14 @@ def test_other_formats_are_not_claimed(name: str) -> None:
     assert not dataflash.sniff(OTHER_FORMATS[name] + b".." + HEAD[:89] + b"one alone")
 
 
+def test_a_first_record_with_anything_behind_the_end_of_its_strings_is_not_believed() -> None:
+    spoiled = bytearray(WHOLE[:89])
+    spoiled[8:9] = b"x"  # right behind the NUL of the name, which was "FMT"
+    assert dataflash.sniff(bytes(spoiled))  # a name of four letters
+    spoiled[7:9] = b"\0x"
+    assert not dataflash.sniff(bytes(spoiled))
+
+
 def test_a_log_whose_first_bytes_are_lost_is_still_claimed() -> None:
     assert dataflash.sniff(bytes(64) + WHOLE[64:4096])
 
@@ -234,8 +242,11 @@ def test_the_arm_message_counts_as_well_and_silence_is_no_answer(path: Path) -> 
 
 def test_an_event_without_a_time_has_that_of_the_record_before_it(path: Path) -> None:
     old = HEAD + fmt(132, "EV", "B", "Id")
-    recording = read(path, old, imu(1), imu(2), record(132, "B", 10), imu(3), record(132, "B", 11))
-    assert stream(recording, "EV").time_ns.tolist() == [20_000_000, 30_000_000]
+    events = [record(132, "B", number) for number in (99, 10, 11)]
+    parts = [events[0], imu(1), imu(2), events[1], imu(3), events[2], imu(4)]
+    recording = read(path, old, *parts)
+    # One that is before all others can only have the first time there is.
+    assert stream(recording, "EV").time_ns.tolist() == [10_000_000, 20_000_000, 30_000_000]
     assert stream(recording, "EV").clock == "time of the record before it"
     assert recording.armed == ((20_000_000, 30_000_000),)
 
@@ -349,6 +360,49 @@ def test_a_record_in_which_damage_begins_is_lost_and_not_half_believed(path: Pat
     recording = read(path, bytes(whole))
     assert samples(recording) == {sample(k) for k in (1, 2, 6, 7, 8)}
     assert losses(recording) == [(len(HEAD) + 2 * 35, 3 * 35)]
+
+
+def test_garbage_that_looks_like_a_record_is_none(path: Path) -> None:
+    lookalikes = [
+        imu(7) + b"\xa3\x11",
+        HEADER + bytes([128]) + b"\x11" * 86,
+        HEADER + bytes([128, 131, 0]) + b"\x11" * 84,
+    ]
+    noise = b"\x11" * 5 + b"\x11\x22".join(lookalikes) + b"\x11" * 5
+    recording = read(path, HEAD, imu(1), bat(1), noise, imu(2), imu(3))
+    assert samples(recording) == {sample(1), sample(2), sample(3)}
+    start = len(HEAD) + 35
+    assert losses(recording) == [(start, 21 + len(noise))]
+
+
+def test_records_before_damage_and_before_a_new_format_are_all_kept(path: Path) -> None:
+    again = fmt(131, "IMU", "Qfff", f"TimeUS,{GYRO}") + record(131, "Qfff", 30_000, 3.5, -3, 0.375)
+    recording = read(path, HEAD, imu(1), record(99, "B", 1), imu(2), again)
+    assert samples(recording) == {sample(1), sample(2), sample(3)}
+    assert losses(recording) == [(len(HEAD) + 35, 4)]
+
+
+def test_garbage_that_ends_in_a_zero_is_not_padding(path: Path) -> None:
+    recording = read(path, HEAD, imu(1), imu(2), HEADER + b"\x63" + b"\x11" * 30 + b"\0")
+    assert losses(recording) == [(len(HEAD) + 70, 34)]
+    assert notes(recording) == []
+
+
+def test_padding_is_one_stretch_however_long(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dataflash, "BLOCK_BYTES", 800)
+    garbage = HEADER + b"\x63" + b"\x11" * 1000
+    recording = read(path, WHOLE, garbage, b"\xff" * 5000)
+    assert losses(recording) == [(len(WHOLE), len(garbage))]
+    end = len(WHOLE) + len(garbage)
+    assert [(p.offset, p.bytes_lost) for p in notes(recording)] == [(end, 5000)]
+
+
+def test_bytes_at_the_end_that_only_begin_like_a_format_define_nothing(path: Path) -> None:
+    junk = HEADER + bytes([128, 131, 50]) + b"\x11" * 84
+    recording = read(path, HEAD, imu(1), junk, b"\x11" * 40)
+    assert samples(recording) == {sample(1)}
+    assert losses(recording)[0] == (len(HEAD) + 35, 89)
+    assert "its text is none, and no record follows it" in recording.problems[0].what
 
 
 def test_a_format_record_in_a_payload_defines_nothing(path: Path) -> None:
