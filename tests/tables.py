@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.geometry import named_axes
 from fdilog.noise import quantisation_step
 from fdilog.table import Channel, ChannelTable
 
@@ -59,3 +62,49 @@ def changed(
     column = table.names.index(channel)
     rate[rows, column] = how["put"] if "put" in how else rate[rows, column] + how["add"]
     return table_of(table.time_s, rate)
+
+
+def unit(
+    geometry: str,
+    channels: int | None = None,
+    *,
+    seconds: float = 30.0,
+    rate_hz: float = 50.0,
+    sigma_deg_s: float = 0.3,
+    seed: int = 1,
+) -> ChannelTable:
+    """Gyros of a named geometry in slow manoeuvres with white noise of their own."""
+    axes = named_axes(geometry, channels)
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(seconds * rate_hz)) / rate_hz
+    body = 10.0 * DEG * np.sin(2 * np.pi * time_s[:, None] * [0.31, 0.27, 0.23] + [0.0, 1.0, 2.0])
+    rate = body @ axes.T + rng.normal(0, sigma_deg_s * DEG, (len(time_s), len(axes)))
+    return ChannelTable(
+        time_s=time_s,
+        rate_rad_s=rate,
+        valid=np.ones(rate.shape, bool),
+        channels=tuple(
+            Channel(
+                name=f"g{k}",
+                source=f"s{k // 3}",
+                axis=(float(axis[0]), float(axis[1]), float(axis[2])),
+                rate_hz=rate_hz,
+                samples=len(time_s),
+            )
+            for k, axis in enumerate(axes)
+        ),
+    )
+
+
+def put(table: ChannelTable, rate: NDArray[np.float64]) -> ChannelTable:
+    """Return the table with other readings on the same axes; NaN is no reading."""
+    return replace(table, rate_rad_s=rate, valid=np.isfinite(rate))
+
+
+def biased(
+    table: ChannelTable, channel: int, size_deg_s: float, start_s: float, end_s: float
+) -> ChannelTable:
+    """Return the table with one channel off by a constant for a while."""
+    rate = table.rate_rad_s.copy()
+    rate[(table.time_s >= start_s) & (table.time_s < end_s), channel] += size_deg_s * DEG
+    return put(table, rate)

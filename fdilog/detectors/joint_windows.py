@@ -26,7 +26,7 @@ from fdilog.isolation import (
     family_wise_confidence,
     noise_shares,
 )
-from fdilog.noise import windowed_mean
+from fdilog.noise import MAX_COSINES, windowed_mean
 from fdilog.registry import Stage
 from fdilog.windows import Moments, Survey
 
@@ -207,17 +207,19 @@ def _block(moments: Moments, survey: Survey) -> tuple[_Block | None, NDArray[np.
         level=np.zeros(len(start), np.int64),
         config=survey.config,
     )
-    sigma, dof = _noise(block)
     config = survey.config
+    confidence = family_wise_confidence(config, windows.length_s, len(columns))
     # Sources sampled at different instants differ by the rate of change all through the window.
     late = config.noise.time_sigma_s * np.abs(moments.slope).max(axis=1, initial=0.0)
     tolerance = np.radians(config.tolerance.bias_deg_s)
-    sigma = np.maximum(np.sqrt(sigma**2 + size * late**2), LEAST_SIGMA * tolerance)
-    confidence = family_wise_confidence(config, windows.length_s, len(columns))
-    known = np.flatnonzero(np.isfinite(sigma) & (dof >= FEWEST_DOF))
-    factor = _inflation(dof[known], confidence, config.windows.confidence, len(columns))
-    octaves = np.log2(sigma[known] * factor / tolerance)
-    block.level[known] = np.ceil(LEVELS_PER_OCTAVE * octaves).astype(np.int64)
+    bounds = []
+    for variance, dof in _noise(block, moments):
+        sigma = np.maximum(np.sqrt(variance + size * late**2), LEAST_SIGMA * tolerance)
+        bounds.append(sigma * _inflation(dof, confidence, config.windows.confidence, len(columns)))
+    # Both hold; the smaller one fails no more often than the two together.
+    octaves = np.log2(np.minimum(*bounds) / tolerance)
+    known = np.flatnonzero(np.isfinite(octaves))
+    block.level[known] = np.ceil(LEVELS_PER_OCTAVE * octaves[known]).astype(np.int64)
     return block, known
 
 
@@ -229,32 +231,38 @@ def _inflation(dof: Floats, family: float, printed: float, hypotheses: int) -> F
     with the family-wise probability. The ratio is twice an F statistic with (2, dof) degrees of
     freedom, whose tail is ``(1 + 2 x / dof)^(-dof / 2)``.
     """
-    reached = np.expm1(-2.0 / dof * np.log((1.0 - family) / hypotheses)) * dof
-    inflation: Floats = np.sqrt(reached / _threshold(hypotheses, 1.0 - printed))
+    inflation = np.full(len(dof), np.inf)
+    known = dof >= FEWEST_DOF
+    doubt = (1.0 - family) / (2 * hypotheses)  # two bounds on the noise
+    reached = np.expm1(-2.0 / dof[known] * np.log(doubt)) * dof[known]
+    inflation[known] = np.sqrt(reached / _threshold(hypotheses, 1.0 - printed))
     return inflation
 
 
-def _noise(block: _Block) -> tuple[Floats, Floats]:
+def _noise(block: _Block, moments: Moments) -> Iterator[tuple[Floats, Floats]]:
     """Noise of one sample in every window, as white noise of that level would average out.
 
-    Returns
-    -------
-    sigma : (n,)
-        From what is left of the parity vector when a bias and scale errors of any size are fitted:
-        its long-run variance or that of a sample, whichever is larger, in the direction in which it
-        is largest. In units of the relative noise of the channels; infinite if not known. [rad/s]
+    Yields twice, from the parity vector as it is and from what is left of it when scale errors of
+    any size are fitted. The first is better known, the second is not fooled by scale errors.
+
+    Yields
+    ------
+    variance : (n,)
+        Long-run variance of a sample, or plain variance where that is larger, in the direction in
+        which it is largest. In units of the relative noise of the channels; infinite if not known.
+        [rad^2/s^2]
     dof : (n,)
         Degrees of freedom.
     """
     n, size = len(block.start), block.size
-    parity = parity_matrix(block.axes)
+    parity = moments.parity
     factor = np.linalg.cholesky(parity @ np.diag(block.relative) @ parity.T)
     to_parity = np.linalg.solve(factor, parity).T
     rank = len(block.axes) - len(parity)
-    # A scale error adds a multiple of the rate to the parity vector: rates are fitted too.
+    # A scale error adds a multiple of the rate to the parity vector: rates are fitted.
     fitted = rank if block.config.noise.scale_sigma > 0.0 else 0
     to_rate = np.linalg.pinv(block.axes).T @ np.linalg.svd(block.axes)[2][:fitted].T
-    variance, dof = np.full(n, np.inf), np.zeros(n)
+    plain, variance, dof = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
     q, to_series = len(parity), np.hstack([to_parity, to_rate])
     for at in _chunks(np.arange(n), size * len(block.axes)):
         series = block.gather(at) @ to_series
@@ -267,9 +275,21 @@ def _noise(block: _Block) -> tuple[Floats, Floats]:
             # One rate is multiplied, not matrix-multiplied: BLAS starts threads for single columns.
             left -= rates * fit if fitted == 1 else rates @ fit
             spread = spread - np.swapaxes(across, 1, 2) @ fit
+        plain[at] = _largest(spread / (size - 1 - fitted))
         looks = windowed_mean(left)
         known = looks.dof > 0
-        both = np.stack([looks.covariance * size, spread / (size - 1 - fitted)])[:, known]
-        variance[at[known]] = np.linalg.eigvalsh(both)[..., -1].max(axis=0, initial=0.0)
-        dof[at] = np.maximum(looks.dof - fitted, 0.0)
-    return np.sqrt(variance), dof
+        variance[at[known]] = size * _largest(looks.covariance[known])
+        dof[at] = looks.dof * (1.0 - fitted / min(size - 1, MAX_COSINES))
+    yield np.maximum(plain, variance), dof
+    looks = moments.parity_mean
+    known = looks.dof > 0
+    whiten: Floats = np.linalg.inv(factor)
+    unfitted = np.full(n, np.inf)
+    unfitted[known] = size * _largest(whiten @ looks.covariance[known] @ whiten.T)
+    yield np.maximum(plain, unfitted), looks.dof
+
+
+def _largest(covariance: Floats) -> Floats:
+    """Return the largest variance of any combination of unit length."""
+    values: Floats = np.linalg.eigvalsh(covariance)[..., -1]
+    return np.maximum(values, 0.0)
