@@ -291,5 +291,5 @@ def _noise(block: _Block, moments: Moments) -> Iterator[tuple[Floats, Floats]]:
 
 def _largest(covariance: Floats) -> Floats:
     """Return the largest variance of any combination of unit length."""
-    values: Floats = np.linalg.eigvalsh(covariance)[..., -1]
-    return np.maximum(values, 0.0)
+    largest: Floats = np.maximum(np.linalg.eigvalsh(covariance)[..., -1], 0.0).astype(np.float64)
+    return largest
