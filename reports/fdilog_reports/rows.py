@@ -116,7 +116,7 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         Fact(label="Interval", value=interval),
         Fact(label="Tolerance", value=tolerance),
         Fact(label="UTC", value=utc(analysis.log.start_utc, finding.start_s, finding.end_s)),
-        Fact(label="Guaranteed", value=_guaranteed(finding)),
+        Fact(label="Guaranteed", value=_guaranteed(finding, analysis)),
         Fact(label="Agree", value=listed([shown(n) for n in finding.detectors]) or "none"),
         Fact(label="Dissent", value=listed([shown(n) for n in finding.dissent]) or "none"),
         Fact(label="Witness", value=shown(finding.witness) if finding.witness else ""),
@@ -152,14 +152,17 @@ def _tolerance(finding: Finding, analysis: Analysis) -> str:
     }.get(finding.kind, "")
 
 
-def _guaranteed(finding: Finding) -> str:
+def _guaranteed(finding: Finding, analysis: Analysis) -> str:
     if finding.guaranteed is None:
         return ""
     low, high = finding.guaranteed.low, finding.guaranteed.high
     ends = rounded(DEG_PER_RAD * low, DEG_PER_RAD * high, DEG_PER_RAD * (low + high) / 2.0)
     text = between(ends[0], ends[1])
     unit = "" if text == "unbounded" else " deg/s"
-    return f"{text}{unit} as long as the stated bound holds"
+    bound = (
+        "stated bound" if analysis.config.noise.bound_deg_s > 0 else "bound estimated from this log"
+    )
+    return f"{text}{unit} as long as the {bound} holds"
 
 
 # --- channels, sources, losses ------------------------------------------------------------------
