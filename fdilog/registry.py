@@ -25,7 +25,11 @@ compared; every sample as a window of its own; or the windows of each configured
 
 
 class Reader(Protocol):
-    """A module that reads one log format; its entry-point name is the format's name."""
+    """A module that reads one log format; its entry-point name is the format's name.
+
+    One whose logs are directories also has ``sniff_directory(path) -> bool``, and ``read`` is given
+    the directory.
+    """
 
     suffixes: tuple[str, ...]
     description: str
@@ -125,8 +129,34 @@ def read_opened(log: Opened, also: Collection[str] = ()) -> Recording:
 
 def read_plain(path: Path, also: Collection[str] = ()) -> Recording:
     """Read a log that is a plain file or a directory; see `read`."""
-    if path.is_dir():
-        raise UnreadableLogError(f"{path}: is a directory, not a log; name the file in it")
+    readers = plugins("readers")
+    name = _reader_of_directory(path) if path.is_dir() else _reader_of_file(path)
+    try:
+        recording: Recording = readers[name].read(path, also)
+    except (FdilogError, MemoryError, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        # A log must never bring the tool down; what a reader did not foresee is said, not shown.
+        raise UnreadableLogError(
+            f"{path}: the {name} reader failed: {type(error).__name__}: {error}"
+        ) from error
+    return recording
+
+
+def is_log_directory(path: Path) -> bool:
+    """Whether a directory is one log as a whole, such as a ROS 2 bag, and not a folder of logs."""
+    readers = plugins("readers").values()
+    return any(r.sniff_directory(path) for r in readers if hasattr(r, "sniff_directory"))
+
+
+def _reader_of_directory(path: Path) -> str:
+    for name, reader in plugins("readers").items():
+        if hasattr(reader, "sniff_directory") and reader.sniff_directory(path):
+            return name
+    raise UnreadableLogError(f"{path}: is a directory, not a log; name the file in it")
+
+
+def _reader_of_file(path: Path) -> str:
     head = head_of(path)
     if not head:
         raise UnreadableLogError(f"{path}: the file is empty")
@@ -140,13 +170,4 @@ def read_plain(path: Path, also: Collection[str] = ()) -> Recording:
             f"{path}: not a log of any format that is installed ({', '.join(readers)});"
             f" it begins with {head[:8]!r}"
         )
-    try:
-        recording: Recording = readers[name].read(path, also)
-    except (FdilogError, MemoryError, KeyboardInterrupt):
-        raise
-    except Exception as error:
-        # A log must never bring the tool down; what a reader did not foresee is said, not shown.
-        raise UnreadableLogError(
-            f"{path}: the {name} reader failed: {type(error).__name__}: {error}"
-        ) from error
-    return recording
+    return name

@@ -31,6 +31,12 @@ ENCAPSULATIONS: dict[int, tuple[Order, int]] = {
 }
 CDR_HEAD = 4
 
+# ROS 2 can compress every message by itself. It then begins with this, which CDR cannot.
+ZSTD_MAGIC = 0xFD2FB528
+# So much may come of one message, and of the messages of one batch together.
+MESSAGE_BYTES = 16 << 20
+BATCH_BYTES = 64 << 20
+
 # A fixed array of structures longer than this is no place to look for a sensor.
 MAX_UNROLLED = 4096
 MAX_LIST_COLUMNS = 64
@@ -118,6 +124,13 @@ class RosLayout:
         """Read the wanted leaves of all messages; see ``Layout``."""
         if self._packed:
             return self._walk(batch, 0, "<", 1)
+        if len(batch) and batch.rows.shape[1] > batch.lead + CDR_HEAD:
+            packed = batch.at(0, np.dtype("<u4")) == ZSTD_MAGIC
+            if packed.any():
+                return self._encapsulated(_decompressed(batch, packed))
+        return self._encapsulated(batch)
+
+    def _encapsulated(self, batch: Batch) -> tuple[Columns, Mask]:
         if batch.rows.shape[1] < batch.lead + CDR_HEAD:
             return {}, np.zeros(len(batch), np.bool_)
         kinds = batch.at(1, np.dtype(np.uint8))
@@ -379,3 +392,28 @@ class _Walk:
             if not isinstance(count, int):
                 self.at = np.where(count > k, self.at, before)
                 self.fits = np.where(count > k, self.fits, fitted)
+
+
+def _decompressed(batch: Batch, packed: Mask) -> Batch:
+    """Decompress messages one by one; what does not decompress, or to too much, becomes empty."""
+    import zstandard
+
+    tool = zstandard.ZstdDecompressor()
+    messages: list[bytes] = []
+    room = BATCH_BYTES
+    for row, length, is_packed in zip(batch.rows, batch.lengths.tolist(), packed, strict=True):
+        raw = row[batch.lead : batch.lead + length].tobytes()
+        if is_packed:
+            try:
+                promised = zstandard.get_frame_parameters(raw).content_size
+                raw = tool.decompress(raw) if promised <= min(MESSAGE_BYTES, room) else b""
+            except zstandard.ZstdError:
+                raw = b""
+            room -= len(raw)
+        messages.append(raw)
+    lengths = np.array([len(message) for message in messages], np.int64)
+    # One long message would make every row as long: it cannot be a sensor's.
+    width = min(int(lengths.max()), max(BATCH_BYTES // len(messages), CDR_HEAD))
+    text = b"".join(message[:width].ljust(width, b"\0") for message in messages)
+    rows = np.frombuffer(text, np.uint8).reshape(len(messages), width)
+    return Batch(rows, 0, np.where(lengths <= width, lengths, 0))

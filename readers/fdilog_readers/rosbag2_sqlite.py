@@ -1,0 +1,218 @@
+"""The SQLite files of ROS 2 bags: opened without ever writing beside or into them."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.errors import UnreadableLogError
+from fdilog.recording import Problem
+from fdilog_readers.message_batch import Batch, side_by_side
+from fdilog_readers.message_reading import open_topic
+from fdilog_readers.topics import Topic, Topics
+
+MAGIC = b"SQLite format 3\x00"
+HEAD_BYTES = 100
+ROWS_AT_ONCE = 4096
+FIRST_ID = -(1 << 62)
+# Beyond so many messages in a row that cannot be read, nothing more will come.
+LONGEST_STRIDE = 1 << 32
+
+# What SQLite has not yet worked into the file itself.
+UNFINISHED = ("-wal", "-journal")
+
+
+def read_into(topics: Topics, path: Path) -> list[Problem]:
+    """Add the messages of one file to the topics, and return what was wrong with it.
+
+    Raises
+    ------
+    UnreadableLogError
+        If it is no ROS 2 bag, or so damaged that nothing can be had of it.
+    """
+    problems: list[Problem] = []
+    try:
+        with _opened(path, problems) as connection:
+            _Messages(topics, connection, problems, path.name).take_all()
+    except sqlite3.Error as error:
+        raise UnreadableLogError(f"{path}: no ROS 2 bag can be read from it: {error}") from error
+    except OSError as error:
+        raise UnreadableLogError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    return problems
+
+
+@contextmanager
+def _opened(path: Path, problems: list[Problem]) -> Iterator[sqlite3.Connection]:
+    """Open a database for reading; its folder need not be writable, and stays as it is."""
+    with path.open("rb") as file:  # a clear error where it cannot be read at all
+        head = file.read(HEAD_BYTES)
+        size = file.seek(0, 2)
+    if not head.startswith(MAGIC):
+        raise UnreadableLogError(f"{path}: no SQLite file: it begins with {head[:8]!r}")
+    page_bytes, pages = struct.unpack(">H10xI", head[16:32].ljust(16, b"\0"))
+    missing = pages * (page_bytes if page_bytes > 1 else 65536) - size
+    if missing > 0 and head[24:28] == head[92:96]:  # else the number of pages is out of date
+        problems.append(Problem(what=f"{path.name} is cut", offset=size, bytes_lost=missing))
+    beside = [path.with_name(path.name + suffix) for suffix in UNFINISHED]
+    beside = [other for other in beside if other.is_file() and other.stat().st_size]
+    if not beside:
+        # Immutable: SQLite must not even look for a journal, or make a lock.
+        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(uri, uri=True)) as connection:
+            # Nothing is written; but only with this does SQLite open a file that is cut.
+            connection.execute("PRAGMA writable_schema = ON")
+            yield connection
+        return
+    with tempfile.TemporaryDirectory(prefix="fdilog-") as folder:
+        for original in (path, *beside):
+            shutil.copyfile(original, Path(folder) / original.name)
+        what = f"{path.name} was not closed; what was left in {beside[0].name} was read too"
+        problems.append(Problem(what=what, note=True))
+        with closing(sqlite3.connect(Path(folder) / path.name)) as connection:
+            yield connection
+
+
+class _Messages:
+    def __init__(
+        self,
+        topics: Topics,
+        connection: sqlite3.Connection,
+        problems: list[Problem],
+        name: str,
+    ) -> None:
+        connection.text_factory = partial(str, encoding="utf-8", errors="replace")
+        self.connection = connection
+        self._query = ""
+        self.problems = problems
+        self.name = name
+        self._counts: Counter[int] = Counter()
+        self._topic_of: dict[int, Topic] = {}
+        definitions = self._definitions()
+        for number, topic, kind, encoding in self._rows(
+            "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+        ):
+            schema_encoding, definition = definitions.get(str(kind), ("ros2msg", ""))
+            self._topic_of[int(number)] = open_topic(
+                topics,
+                str(topic),
+                str(kind),
+                message_encoding=str(encoding),
+                schema_encoding=schema_encoding,
+                definition=definition.encode(),
+            )
+
+    def _rows(self, query: str) -> list[Sequence[Any]]:
+        return self.connection.execute(query).fetchall()
+
+    def _definitions(self) -> dict[str, tuple[str, str]]:
+        """Return the message definitions, which bags have since schema version 4."""
+        if not self._rows("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"):
+            return {}
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        return {str(kind): (str(way), str(text)) for kind, way, text in self._rows(query)}
+
+    def take_all(self) -> None:
+        """Read the messages in the order in which they were written."""
+        numbers = ",".join(str(n) for n, topic in self._topic_of.items() if topic.wanted)
+        self._query = (
+            "SELECT id, COALESCE(CAST(topic_id AS INTEGER), 0),"  # noqa: S608  numbers only
+            " COALESCE(CAST(timestamp AS INTEGER), 0), CASE WHEN topic_id IN"
+            f" ({numbers}) THEN CASE typeof(data) WHEN 'blob' THEN data ELSE x'' END END"
+            " FROM messages WHERE id > ? ORDER BY id"
+        )
+        last = FIRST_ID
+        while True:
+            try:
+                cursor = self.connection.execute(self._query, (last,))
+                while rows := cursor.fetchmany(ROWS_AT_ONCE):
+                    self._take(rows)
+                    last = int(rows[-1][0])
+                break
+            except sqlite3.DatabaseError as error:
+                behind = self._step_over(self._take_one_by_one(last), error)
+                if behind is None:
+                    break
+                last = behind
+        for number, count in self._counts.items():
+            if number in self._topic_of:
+                self._topic_of[number].count += count
+
+    def _take_one_by_one(self, last: int) -> int:
+        """Take the messages before a damaged place; return the last one's number."""
+        rows: list[tuple[Any, ...]] = []
+        cursor = self.connection.execute(self._query, (last,))
+        try:
+            while row := cursor.fetchone():
+                rows.append(row)
+        except sqlite3.DatabaseError:
+            pass
+        self._take(rows)
+        return int(rows[-1][0]) if rows else last
+
+    def _step_over(self, last: int, error: sqlite3.Error) -> int | None:
+        """Find the first message behind a damaged place, and say how many were lost."""
+        if last == FIRST_ID:
+            last = 0  # SQLite numbers from one
+        good = self._first_readable(last)
+        lost = (
+            f"; {good - last - 1} messages are lost" if good is not None else ", and so is the rest"
+        )
+        self.problems.append(Problem(what=f"{self.name} is damaged ({error}){lost}"))
+        return None if good is None else good - 1
+
+    def _first_readable(self, last: int) -> int | None:
+        """Try ever longer strides, then the ones between; None if nothing more can be had."""
+        stride = 1
+        while stride < LONGEST_STRIDE and not self._reads(last + stride):
+            stride *= 2
+        low, high = last + stride // 2, last + stride
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if self._reads(middle) else (middle, high)
+        row = self._reads(high)
+        return int(row[0]) if row else None
+
+    def _reads(self, after: int) -> Sequence[Any] | None:
+        try:
+            row: Sequence[Any] | None = self.connection.execute(
+                f"{self._query} LIMIT 1", (after,)
+            ).fetchone()
+        except sqlite3.DatabaseError:
+            return None
+        return row
+
+    def _take(self, rows: list[tuple[Any, ...]]) -> None:
+        if not rows:
+            return
+        _, numbers, times, messages = zip(*rows, strict=True)
+        topic_ids = np.array(numbers, np.int64)
+        times_ns = np.array(times, np.int64)
+        present, counts = np.unique(topic_ids, return_counts=True)
+        self._counts.update(dict(zip(present.tolist(), counts.tolist(), strict=True)))
+        for number in present.tolist():
+            topic = self._topic_of.get(number)
+            if topic is not None and topic.wanted:
+                here = topic_ids == number
+                self._add(topic, list(compress(messages, here.tolist())), times_ns[here])
+
+    def _add(self, topic: Topic, messages: list[bytes], times_ns: NDArray[np.int64]) -> None:
+        lengths = np.fromiter(map(len, messages), np.int64, len(messages))
+        buffer = np.frombuffer(b"".join(messages), np.uint8)
+        if len(buffer) and (lengths == lengths[0]).all():
+            topic.add(Batch(buffer.reshape(len(messages), -1), 0, lengths), times_ns)
+            return
+        starts = np.cumsum(lengths) - lengths
+        for part, batch in side_by_side(buffer, starts, 0, lengths):
+            topic.add(batch, times_ns[part])
