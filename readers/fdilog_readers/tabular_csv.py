@@ -1,7 +1,7 @@
 """Tables as text: cells to numbers, and every row and cell that is none told with its line.
 
-Regular lines, nearly all, are parsed at once; a line that has another number of cells, unpaired
-quotes or anything but numbers in it is looked at alone.
+Regular lines, nearly all, are parsed at once; a line that has another number of cells, or anything
+but numbers in it, is looked at alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SEPARATORS = (",", ";", "\t")
 BYTE_ORDER_MARK = "\ufeff"
 UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 BLOCK_BYTES = 1 << 22
-NEWLINE, RETURN, QUOTE, COMMA = b'\n\r",'
+NEWLINE, RETURN, COMMA = b"\n\r,"
 # Words for a reading that is not there, as pandas, R, MATLAB and spreadsheets write them.
 MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "null", "none"}
 NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|inf|infinity)", re.IGNORECASE)
@@ -214,7 +214,7 @@ class _Table:
             self._headers,
             [np.ascontiguousarray(column) for column in rows.T],
             [*self.losses.problems(), *self._notes],
-            {c: list(bad.problems()) for c, bad in self._bad.items() if c not in wordy},
+            {column: list(bad.problems()) for column, bad in self._bad.items()},
             wordy,
         )
 
@@ -223,10 +223,6 @@ class _Table:
         separators = np.flatnonzero(block == ord(self._separator))
         count = np.searchsorted(separators, ends) - np.searchsorted(separators, begins)
         regular: NDArray[np.bool_] = count == len(self._headers) - 1
-        quotes = np.flatnonzero(block == QUOTE)
-        if len(quotes):
-            pairs = np.searchsorted(quotes, ends) - np.searchsorted(quotes, begins)
-            regular &= pairs % 2 == 0
         if not self._wordy:  # else pandas will find what is no number in the other columns
             plain = PLAIN.copy()
             plain[[ord(self._separator), COMMA]] = True

@@ -101,8 +101,27 @@ def test_a_row_without_a_reading_of_a_source_is_no_record_of_it(tmp_path: Path) 
     assert second.time_ns.tolist() == [0, 10**9, 3 * 10**9]
 
 
+def test_a_row_in_which_only_the_thermometer_speaks_is_no_record_of_a_gyro(tmp_path: Path) -> None:
+    stream = only(read(tmp_path, "time_s,g1,T [degC]\n0,1,20\n1,,21\n2,3,\n"))
+    assert stream.time_ns.tolist() == [0, 2 * 10**9]
+    assert stream.columns["T"][0] == 20.0
+
+
+def test_separators_at_the_end_of_lines_are_no_cells(tmp_path: Path) -> None:
+    recording = read(tmp_path, "time_s,g1\n0,1,\n1,2,\n")
+    assert only(recording).columns["g1"].tolist() == [1.0, 2.0]
+    assert recording.problems == ()
+
+
+def test_a_line_of_blanks_is_told_and_shifts_no_other(tmp_path: Path) -> None:
+    recording = read(tmp_path, "time_s\n1\n  \n2\n")
+    assert losses(recording) == ["line 3: no number in 'time_s'"]
+
+
 def test_semicolons_tabs_and_decimal_commas_are_understood(tmp_path: Path) -> None:
-    stream = only(read(tmp_path, "\ufefftime_s;g1\r\n0,5;-1,25e-3\r\n1,5;2\r\n"))
+    recording = read(tmp_path, "\ufefftime_s;g1\r\n0,5;-1,25e-3\r\n\r\n1,5;2\r\n\r\n")
+    assert recording.problems == ()
+    stream = only(recording)
     assert stream.time_ns.tolist() == [500_000_000, 1_500_000_000]
     assert stream.columns["g1"].tolist() == [-1.25e-3, 2.0]
     assert only(read(tmp_path, "time_s\tg1\n1\t2.5\n")).columns["g1"].tolist() == [2.5]
