@@ -49,6 +49,10 @@ SHORTEST_FLIGHT_S = 60.0
 SLOW_HZ = 10.0
 # Faults keep this far from the ends of the log, and from what its untouched form already shows.
 MARGIN_S = 5.0
+# A fault of fewer readings is nothing to look for.
+FEWEST_PERIODS = 4.0
+# A start that is further off than this is listed among the failures.
+LATE_S = 2.0
 # Not to be counted as false: this log's first IMU really comes loose (see the folder's README).
 REAL_FAULTS = ("copter_3imu_vibration_crash.bin",)
 
@@ -221,6 +225,8 @@ def drawn(
     """Draw channel, start and sign; the span is recorded whole and shows nothing by itself."""
     first, last = float(table.time_s[0]) + MARGIN_S, float(table.time_s[-1]) - MARGIN_S
     own = [c for c in table.channels if not c.derived]
+    if case.duration_s and case.duration_s < FEWEST_PERIODS / min(c.rate_hz for c in own):
+        return None
     for _ in range(100):
         channel = own[rng.integers(len(own))]
         start_s = float(rng.uniform(first, last - case.duration_s))
@@ -287,7 +293,8 @@ def own_truth(table: ChannelTable, fault: Fault) -> float | None:
     if fault.kind != "bias":
         # What a multiple of noise is relative to is another gyro's, and not known here.
         return fault.size if fault.kind in ("drift", "scale", "impulse") else None
-    row = leave_one_out(table.axes, [])[table.names.index(fault.channel)]
+    derived = [k for k, channel in enumerate(table.channels) if channel.derived]
+    row = leave_one_out(table.axes, derived)[table.names.index(fault.channel)]
     inside = (table.time_s >= fault.start_s) & (table.time_s <= fault.end_s)
     own = table.rate_rad_s[inside][:, row != 0] @ row[row != 0]
     return (fault.size or 0.0) + float(np.nanmean(own))
@@ -332,6 +339,27 @@ def counts(case: str, trials: Sequence[Trial]) -> list[str]:
     ]
 
 
+def failures(trials: Sequence[Trial]) -> Iterator[str]:
+    """List what went wrong, so that it can be looked at one by one."""
+    for trial in trials:
+        wrong = []
+        if not trial.found:
+            wrong.append("missed")
+        elif not trial.right_kind:
+            wrong.append(f"taken for {', '.join(trial.kinds)}")
+        if trial.others:
+            wrong.append(f"accused: {', '.join(trial.others)}")
+        if trial.covered is False:
+            wrong.append(f"{trial.size:.4g} not in {trial.low:.4g} to {trial.high:.4g}")
+        if trial.start_error_s is not None and abs(trial.start_error_s) > LATE_S:
+            wrong.append(f"begins {trial.start_error_s:+.1f} s off")
+        if wrong:
+            yield (
+                f"{trial.case}: {trial.log} {trial.channel} at {trial.start_s:.3f} s"
+                f" (effect {trial.effect_deg_s:.2g} deg/s, seed {trial.seed}): {'; '.join(wrong)}"
+            )
+
+
 def untouched_lines(paths: Sequence[Path]) -> Iterator[str]:
     """Say what is found in the logs as they were recorded."""
     hours = false = 0.0
@@ -359,6 +387,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--logs", default="", help="only logs whose name holds this")
+    parser.add_argument("--failures", action="store_true", help="list them, with their seeds")
     parser.add_argument("--details", type=Path, help="file for one line of JSON a trial")
     arguments = parser.parse_args()
     folder = Path(os.environ.get("FDILOG_REAL_LOGS", ROOT.parent / "shared" / "logs"))
@@ -382,6 +411,8 @@ def main() -> None:
         arguments.details.write_text("".join(lines), encoding="utf-8")
     print(board(trials))
     print("\n".join(untouched_lines(paths)))
+    if arguments.failures:
+        print("\n".join(["", *failures(trials)]))
 
 
 if __name__ == "__main__":

@@ -358,3 +358,205 @@ def _list_plugins(group: str) -> None:
     for name, loaded in found.items():
         suffixes = " ".join(getattr(loaded, "suffixes", ()))
         typer.echo(f"{name:<{width}}  {loaded.description}{f' ({suffixes})' if suffixes else ''}")
+
+
+@app.command()
+def simulate(
+    *,
+    output: Output,
+    duration_s: Annotated[float, typer.Option("--duration", help="Of the flight. [s]")] = 100.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", help="At which gyros are logged. [Hz]")
+    ] = 50.0,
+    imus: Annotated[
+        int | None, typer.Option(metavar="N", help="How many IMUs; 3 of three axes by default.")
+    ] = None,
+    geometry: Annotated[
+        str, typer.Option(metavar="NAME", help="A unit with skewed gyros, such as matasov.")
+    ] = "aligned-triads",
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="kind:channel:start:end[:size]",
+            help="What fails, in flight time [s]; size in deg/s, deg/s per second, or a factor."
+            " May be given again.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same flight.")] = 0,
+    attitude: Annotated[
+        bool, typer.Option("--attitude/--no-attitude", help="Log the autopilot's attitude as well.")
+    ] = True,
+) -> None:
+    """Write a synthetic flight, with faults or without, and FILE.truth.json beside it.
+
+    The suffix of FILE decides the format.
+    """
+    from fdilog.simulate import simulate as fly
+    from fdilog.truth import write_truth
+    from fdilog.typed_fault import parsed_fault
+    from fdilog.writing import write
+
+    flight = fly(
+        duration_s,
+        rate_hz,
+        geometry=geometry,
+        sources=imus,
+        faults=[parsed_fault(text) for text in faults or ()],
+        seed=seed,
+    )
+    write(flight.recording(attitude=attitude), output)
+    truth = write_truth(output, {"log": {"path": str(output)}, **flight.truth()})
+    typer.echo(f"wrote {output}\nwrote {truth}", err=True)
+
+
+@app.command()
+def inject(
+    log: Annotated[Path, typer.Argument(metavar="LOG")],
+    *,
+    output: Output,
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--fault",
+            metavar="KIND",
+            help="bias, drift, scale, noise, impulse, saturated, stuck, dead or dropout.",
+        ),
+    ],
+    channel: Annotated[
+        str, typer.Option(metavar="NAME", help="Such as imu1.y; a source will do for a dropout.")
+    ],
+    start_s: Annotated[float, typer.Option("--start", metavar="T", help="Flight time. [s]")] = 0.0,
+    end_s: Annotated[
+        float, typer.Option("--end", metavar="T", help="Flight time; the flight's end. [s]")
+    ] = float("inf"),
+    size: Annotated[
+        float | None,
+        typer.Option(
+            help="In deg/s (bias, impulse, saturated), deg/s per second (drift), a factor."
+        ),
+    ] = None,
+    count: Annotated[int, typer.Option(help="How many impulses, spread evenly.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the noise that is added.")] = 0,
+    config: ConfigFile = None,
+) -> None:
+    """Write a copy of a log with a known fault in it, and FILE.truth.json beside it.
+
+    In a copy of the same format every byte that the fault does not touch stays as it is.
+    """
+    from fdilog.injection import inject as put
+    from fdilog.registry import read
+    from fdilog.sources import channel_table
+    from fdilog.truth import injected_truth, write_truth
+    from fdilog.typed_fault import typed_fault
+    from fdilog.writing import write_injected
+
+    settings = _settings(config, "", "", None)
+    fault = typed_fault(kind, channel, start_s, end_s, size=size, count=count)
+    recording = read(log, [source.topic for source in settings.sources.gyro])
+    injection = put(recording, [fault], seed=seed, config=settings)
+    truth = injected_truth(injection, channel_table(recording, settings))
+    write_injected(injection, log, output)
+    beside = write_truth(output, {"log": {"path": str(output), "made_from": str(log)}, **truth})
+    typer.echo(f"wrote {output}\nwrote {beside}", err=True)
+
+
+@app.command()
+def sensitivity(
+    log: Annotated[Path, typer.Argument(metavar="LOG")],
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help=".md, .txt, .json or .svg."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    kinds: Annotated[str, typer.Option(metavar="a,b,c", help="Which kinds; all by default.")] = "",
+    channels: Annotated[str, typer.Option(metavar="a,b,c", help="Which channels; all.")] = "",
+    duration_s: Annotated[float, typer.Option("--duration", help="Of a fault. [s]")] = 20.0,
+    trials: Annotated[int, typer.Option(min=1, help="At how many starts each is tried.")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Of the starts and of added noise.")] = 0,
+    jobs: Annotated[
+        int, typer.Option("-j", "--jobs", min=0, help="Processes; 0: one a processor.")
+    ] = 0,
+    config: ConfigFile = None,
+    geometry: Annotated[str, typer.Option(metavar="NAME|FILE")] = "",
+) -> None:
+    """Say how large a fault of each kind this log would have shown, per channel.
+
+    Known faults are put into the flight in memory, and the smallest one that is found is sought. It
+    takes a minute or two; name channels and kinds to be quicker.
+    """
+    import os
+
+    from fdilog import sensitivity_report as report
+    from fdilog.registry import read
+    from fdilog.sensitivity import sensitivity as seek
+
+    if output is not None:
+        report.checked_format(output)
+    settings = _settings(config, geometry, "", None)
+    recording = read(log, [source.topic for source in settings.sources.gyro])
+    with _progress(log, shown=True) as step:
+        seen = seek(
+            recording,
+            settings,
+            kinds=_names(kinds),
+            channels=_names(channels),
+            duration_s=duration_s,
+            trials=trials,
+            seed=seed,
+            jobs=jobs or os.cpu_count() or 1,
+            progress=lambda done, of: step(f"{done} of {of}") if callable(step) else None,
+        )
+    if output is not None:
+        report.write_sensitivity(seen, output)
+        typer.echo(f"wrote {output}", err=True)
+    if as_json:
+        typer.echo(report.as_json(seen), nl=False)
+    elif output is None:
+        typer.echo(report.in_words(seen), nl=False)
+
+
+@app.command()
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="A.json")],
+    after: Annotated[Path, typer.Argument(metavar="B.json")],
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+) -> None:
+    """Say what appeared, vanished and changed between two results of analyse.
+
+    Exit code: 0 nothing, 1 something, 2 a result could not be read.
+    """
+    from fdilog import comparison
+
+    seen = comparison.compare(comparison.load_result(before), comparison.load_result(after))
+    typer.echo(comparison.as_json(seen) if as_json else comparison.in_words(seen), nl=False)
+    raise typer.Exit(int(bool(seen.differences)))
+
+
+@app.command()
+def reproduce(
+    tables: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[larin|triads|matasov|observer]...", show_default=False),
+    ] = None,
+    *,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the random draws.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+) -> None:
+    """Compute the papers' tables again: printed value, ours, difference, agreement.
+
+    Exit code: 0 all printed values agree, 1 some do not.
+    """
+    from fdilog import reproduce as papers
+    from fdilog.reproduce import report
+
+    for name in tables or ():
+        if name not in papers.TABLES:
+            raise UsageError(f"no table '{name}'{nearest(name, list(papers.TABLES))}")
+    drawn = papers.SEED if seed is None else seed
+    rows = {name: papers.reproduce(name, drawn) for name in tables or papers.TABLES}
+    text = report.as_json(rows, drawn) if as_json else report.in_words(rows, drawn)
+    typer.echo(text, nl=False)
+    raise typer.Exit(int(not report.all_agree(rows)))
