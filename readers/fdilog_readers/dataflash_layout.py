@@ -115,7 +115,7 @@ def parse_fmt(record: bytes) -> Layout:
         if length != FMT_LENGTH:
             raise BadFormatError(f"it gives FMT itself a length of {length} bytes")
         return FMT
-    fields = _field_names(plain_text(record[25:89]), len(format_))
+    fields = field_names(plain_text(record[25:89]), len(format_))
     return Layout(kind, name, length, format_, fields, _flaw(format_, length))
 
 
@@ -143,8 +143,16 @@ def _flaw(format_: str, length: int) -> str:
     return f"its fields make {made} bytes, its length says {length}" if made != length else ""
 
 
-def _field_names(columns: str, count: int) -> tuple[str, ...]:
-    """Give every field a name of its own, whatever the log calls them."""
+def field_names(columns: str, count: int) -> tuple[str, ...]:
+    """Give every field a name of its own, whatever the log calls them.
+
+    Parameters
+    ----------
+    columns
+        Names as the log has them, between commas.
+    count
+        How many fields there are.
+    """
     named = columns.split(",")[:count]
     names: list[str] = []
     for index in range(count):

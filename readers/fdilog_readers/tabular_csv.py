@@ -11,6 +11,7 @@ import io
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +142,14 @@ def check_key(path: Path, headers: list[str], key: str) -> None:
         )
 
 
+def exact_numbers() -> dict[str, Any]:
+    """Return what ``pandas.read_csv`` must be told to read numbers to the last bit."""
+    import pandas as pd
+
+    # From pandas 3 on it does so anyway, and asking for it is a warning.
+    return {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
+
+
 class _Table:
     """Rows so far."""
 
@@ -238,10 +247,6 @@ class _Table:
         if not count:
             return rows
         wanted = [c for c in range(len(self._headers)) if c not in self._wordy]
-        # From pandas 3 on this is how numbers are read; asking for it is a warning there.
-        exact = (
-            {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
-        )
         try:
             frame = pd.read_csv(
                 io.BytesIO(text),
@@ -252,7 +257,7 @@ class _Table:
                 usecols=wanted,
                 dtype=np.float64,
                 skipinitialspace=True,
-                **exact,
+                **exact_numbers(),
             )
         except ValueError:  # pandas' own errors of parsing are of this kind too
             return None
