@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,10 @@ from fdilog.offsets import ClockOffset
 from fdilog.recording import Problem, Recording
 from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
+
+if TYPE_CHECKING:
+    from fdilog.findings import Hearing
+    from fdilog.witness import Witness
 
 SCHEMA = "fdilog/1"
 
@@ -167,7 +172,7 @@ def analyse_recording(
     progress("choosing gyros")
     assembly = assemble(recording, config)
     table = _part_of(assembly, recording, part or Part())
-    judged = judge(table, config, progress)
+    judged = judge(table, config, progress, assembly.witness)
     completeness = _completeness(recording, assembly)
     return Analysis(
         log=_log_info(recording, assembly, sha256),
@@ -179,7 +184,7 @@ def analyse_recording(
         clocks=assembly.clocks,
         calibration=judged.calibration,
         isolability=_isolability(table),
-        verdict=_verdict(judged.status, whole=completeness.whole),
+        verdict=_verdict(table, judged.status, whole=completeness.whole),
         findings=judged.findings,
         evidence=judged.evidence,
         config=config,
@@ -200,11 +205,15 @@ def judge(
     table: ChannelTable,
     config: Config,
     progress: Callable[[str], None] = lambda _: None,
+    witness: Witness | None = None,
 ) -> Judgement:
     """Run the detectors on a table and decide.
 
     Detectors that judge each channel by itself go first. What they accuse is kept out of the
     comparisons, so that one fault gives one finding and drags no other channel along.
+
+    The gyros decide among themselves. Derived channels are compared only with gyros that no other
+    gyro checks, and else only heard where the gyros leave several suspects.
     """
     from fdilog import decision
     from fdilog import findings as of
@@ -213,9 +222,10 @@ def judge(
 
     names = config.detectors.use or _default_order(plugins("detectors"))
     chosen = list(detectors(names))
+    gyros = table.gyros
     whole = Survey(
-        table=table,
-        windows=spans(table, np.array([0]), np.array([len(table.time_s)])),
+        table=gyros,
+        windows=spans(gyros, np.array([0]), np.array([len(gyros.time_s)])),
         config=config,
     )
     alone: list[Evidence] = []
@@ -223,7 +233,10 @@ def judge(
         if detector.stage == "alone":
             progress(name)
             alone.extend(detector.detect(whole))
-    heard = without(table, alone)
+    heard = without(gyros, alone)
+    testified = with_derived(heard, table)
+    if witness is not None:
+        heard = testified.columns(compared_channels(testified))
     sound, calibration = calibrate(heard, config)
     sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
@@ -239,20 +252,84 @@ def judge(
             if detector.stage == "windows":
                 progress(f"{name}, {windows.length_s:g} s windows")
                 compared.extend(detector.detect(survey))
-    noisy = [item for item in compared if item.kind == "noise"]
+    # An attitude is smoother than any gyro; only gyros tell noise from motion.
+    noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
     compared = [item for item in compared if item.kind == "bias"]
-    biased = of.bias_findings(heard, sound, compared, config)
+    hearing = None if witness is None else _hearing(witness, testified, config)
+    biased = of.bias_findings(heard, sound, compared, config, hearing)
     findings = [
-        *of.self_evident_findings(table, alone),
+        *of.self_evident_findings(gyros, alone),
         *of.noise_findings(heard, noisy),
         *of.guaranteed_findings(heard, sampled, biased, config),
     ]
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
+    decided = dict(
+        zip(sound.names, decision.channel_status(sound, compared, findings), strict=True)
+    )
+    status: tuple[Status, ...] = tuple(decided.get(name, "insufficient") for name in table.names)
+    if witness is not None:
+        status = decision.with_witness(table, heard, status, witness.anchors, config)
     return Judgement(
         findings=tuple(findings),
-        status=decision.channel_status(sound, compared, findings),
-        evidence=(*alone, *sampled, *compared, *noisy),
+        status=status,
+        evidence=tuple(
+            _spread_over(table, of_columns, item)
+            for of_columns, items in ((gyros, alone), (heard, (*sampled, *compared, *noisy)))
+            for item in items
+        ),
         calibration=calibration,
+    )
+
+
+def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:
+    from fdilog.witness import hear
+
+    return lambda suspects, span: hear(witness, table, suspects, span, config)
+
+
+def with_derived(gyros: ChannelTable, table: ChannelTable) -> ChannelTable:
+    """Put the derived channels of a table behind the gyros."""
+    derived = [k for k, channel in enumerate(table.channels) if channel.derived]
+    if not derived:
+        return gyros
+    return replace(
+        gyros,
+        rate_rad_s=np.column_stack([gyros.rate_rad_s, table.rate_rad_s[:, derived]]),
+        valid=np.column_stack([gyros.valid, table.valid[:, derived]]),
+        channels=(*gyros.channels, *(table.channels[k] for k in derived)),
+    )
+
+
+def compared_channels(table: ChannelTable) -> list[int]:
+    """Choose what is compared: the gyros, and the derived channels that alone check one of them."""
+    from fdilog.geometry import blocks, detectable
+
+    gyros = [k for k, channel in enumerate(table.channels) if not channel.derived]
+    checked = detectable(table.axes[gyros])
+    unchecked = {k for k, can in zip(gyros, checked, strict=True) if not can}
+    needed = {k for block in blocks(table.axes) if unchecked & set(block) for k in block}
+    return [k for k, channel in enumerate(table.channels) if not channel.derived or k in needed]
+
+
+def _spread_over(table: ChannelTable, part: ChannelTable, evidence: Evidence) -> Evidence:
+    """Lay evidence on some channels of a table out over all of them; the others are not tested."""
+    if part.names == table.names:
+        return evidence
+    columns = [table.names.index(name) for name in part.names]
+    shape = (len(evidence.windows), len(table.channels))
+
+    def laid(values: NDArray[Any], filling: Any) -> NDArray[Any]:
+        wide = np.full(shape, filling, values.dtype)
+        wide[:, columns] = values
+        return wide
+
+    return replace(
+        evidence,
+        tested=laid(evidence.tested, filling=False),
+        low=laid(evidence.low, -np.inf),
+        high=laid(evidence.high, np.inf),
+        tolerance=laid(evidence.tolerance, np.nan),
+        accused=laid(evidence.accused, 0),
     )
 
 
@@ -342,18 +419,22 @@ def _isolability(table: ChannelTable) -> Isolability:
 
     names = table.names
     compared = detectable(table.axes)
+    # A derived channel is no suspect, so what only it is confused with is isolated.
+    gyros = {k for k, channel in enumerate(table.channels) if not channel.derived}
+    groups = [sorted(gyros & set(group)) for group in isolability_groups(table.axes)]
     return Isolability(
-        detectable=tuple(name for name, can in zip(names, compared, strict=True) if can),
-        groups=tuple(
-            tuple(names[channel] for channel in group) for group in isolability_groups(table.axes)
-        ),
+        detectable=tuple(names[k] for k in sorted(gyros) if compared[k]),
+        groups=tuple(tuple(names[k] for k in group) for group in groups if len(group) > 1),
     )
 
 
-def _verdict(status: Sequence[Status], *, whole: bool) -> Verdict:
+def _verdict(table: ChannelTable, status: Sequence[Status], *, whole: bool) -> Verdict:
     from fdilog.decision import conclude
 
-    return conclude(status, whole=whole)
+    gyros = [
+        one for one, channel in zip(status, table.channels, strict=True) if not channel.derived
+    ]
+    return conclude(gyros, whole=whole)
 
 
 def _sigma(table: ChannelTable, channel: int) -> float:

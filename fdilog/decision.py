@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fdilog.anchors import Anchors
+from fdilog.config import Config
 from fdilog.finding import Evidence, Finding, Status, Verdict
 from fdilog.table import ChannelTable
 
@@ -55,6 +57,36 @@ def _healthy(table: ChannelTable, by_length: Sequence[Evidence], channel: int) -
             low, high = item.low[rows, channel], item.high[rows, channel]
             return bool(((low > -tolerance) & (high < tolerance)).all())
     return False
+
+
+def with_witness(
+    table: ChannelTable,
+    compared: ChannelTable,
+    status: Sequence[Status],
+    anchors: Anchors,
+    config: Config,
+) -> tuple[Status, ...]:
+    """Hold what was concluded with an attitude's help against what that attitude is worth.
+
+    A gyro that only the attitude checks is healthy if the attitude itself is, about that gyro's
+    axis and over the whole flight: a filter that follows a failed gyro agrees with it. Derived
+    channels get the attitude's own standing; they are never failed or suspect.
+    """
+    flight = (float(table.time_s[0]), float(table.time_s[-1]))
+    drift = anchors.drift(*flight, config.windows.confidence)
+    tolerance = np.radians(config.tolerance.bias_deg_s)
+    standing: list[Status] = []
+    for channel, own in zip(table.channels, status, strict=True):
+        axis = np.array(channel.axis)
+        within = drift is not None and not drift.lost and drift.within(axis, tolerance)
+        on_its_word = any(
+            one.derived and float(np.abs(np.dot(one.axis, axis))) > 0 for one in compared.channels
+        )
+        if channel.derived:
+            standing.append("healthy" if within else "insufficient" if not drift else "undecided")
+        else:
+            standing.append("undecided" if own == "healthy" and on_its_word and not within else own)
+    return tuple(standing)
 
 
 def conclude(status: Sequence[Status], *, whole: bool) -> Verdict:

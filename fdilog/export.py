@@ -16,7 +16,8 @@ def write_table(table: ChannelTable, path: Path) -> None:
     """Write a table in the format that the suffix names.
 
     A .csv or .parquet holds ``time_s`` and one column per channel in rad/s, empty where there is
-    no valid reading; a .npz the table's arrays, with names and axes.
+    no valid reading; a .npz the table's arrays, with names and axes. Derived channels are left out:
+    read back, they would be taken for gyros.
 
     Raises
     ------
@@ -25,6 +26,7 @@ def write_table(table: ChannelTable, path: Path) -> None:
     FdilogError
         If the file cannot be written.
     """
+    table = table.gyros
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise UsageError(f"{path}: cannot write '{suffix}'; known: {', '.join(SUFFIXES)}")

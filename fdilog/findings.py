@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +13,14 @@ from fdilog.edges import Shape, best_ramp, best_scale, best_step
 from fdilog.finding import SIZE_UNIT, Evidence, Finding, Interval, Kind, Size
 from fdilog.geometry import leave_one_out
 from fdilog.isolation import compare, isolate
-from fdilog.noise import student_quantile, windowed_mean
+from fdilog.noise import windowed_mean
+from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
 from fdilog.windows import Moments, Survey, spans
+from fdilog.witness import SOURCE, Statement
+
+Hearing = Callable[[Sequence[int], tuple[int, int]], Statement]
+"""Asks the witness which of some gyros was off over a span of samples."""
 
 # Another shape than a step is believed if its likelihood is a thousand times larger, 2 ln 1000.
 OTHER_SHAPE = 2.0 * np.log(1000.0)
@@ -127,11 +132,13 @@ def bias_findings(
     calibrated: ChannelTable,
     evidence: Sequence[Evidence],
     config: Config,
+    hearing: Hearing | None = None,
 ) -> list[Finding]:
     """Turn comparative evidence into findings, each tested and measured over its own span.
 
     The first detector leads. A finding names the detectors that accuse its suspects at that time,
-    and as dissenting those that accuse nobody then, or somebody else of the same block.
+    and as dissenting those that accuse nobody then, or somebody else of the same block. Where the
+    gyros leave several suspects, the witness is heard; it is never a suspect itself.
     """
     by_detector: dict[str, list[Accusation]] = {}
     for item in evidence:
@@ -141,17 +148,20 @@ def bias_findings(
     while open_accusations:
         left: list[Accusation] = []
         for cluster in clusters(table.time_s, open_accusations):
-            fault = _fault(calibrated, cluster, config)
-            faults.append(fault)
+            spanned = _fault(calibrated, cluster, config)
+            faults.append(spanned)
             # What lies apart from the span of the fault is another fault.
             left.extend(
                 member
                 for member in cluster.members
-                if member.stop <= fault.start or member.start >= fault.stop
+                if member.stop <= spanned.start or member.start >= spanned.stop
             )
         open_accusations = left if len(left) < len(open_accusations) else []
     findings = []
-    for fault in _joined_faults(calibrated, faults, config):
+    for joined in _joined_faults(calibrated, faults, config):
+        fault = _heard(calibrated, joined, config, hearing)
+        if fault is None:
+            continue
         finding = _finding(table, fault, config)
         agree, dissent = [], []
         for name, said in by_detector.items():
@@ -172,6 +182,7 @@ class Fault:
     shape: Shape
     longest_s: float
     removed: frozenset[int] = frozenset()
+    testimony: Statement | None = None
 
     @property
     def start(self) -> int:
@@ -314,6 +325,23 @@ def _moments(table: ChannelTable, fault: Fault, config: Config) -> Moments | Non
     return next((m for m in survey.moments if fault.suspects <= set(m.channels)), None)
 
 
+def _heard(
+    table: ChannelTable, fault: Fault, config: Config, hearing: Hearing | None
+) -> Fault | None:
+    """Let the witness say which of several suspects failed.
+
+    What only the witness could have shown, and nothing confirms, is a fault of nobody.
+    """
+    accused = sorted(k for k in fault.suspects if not table.channels[k].derived)
+    if len(fault.suspects) == 1 or hearing is None:
+        return fault if len(accused) == len(fault.suspects) else None
+    said = hearing(accused, (fault.start, fault.stop))
+    if said.named is not None:
+        alone = replace(fault, suspects=frozenset({said.named}), testimony=said)
+        return alone if fault.shape.kind == "bias" else _shaped(table, alone, config)
+    return replace(fault, testimony=said) if len(accused) == len(fault.suspects) else None
+
+
 def _joined_faults(table: ChannelTable, faults: Sequence[Fault], config: Config) -> list[Fault]:
     """Join spans of shared suspects that overlap, or are parted by less than half a window."""
     kept: list[Fault] = []
@@ -341,6 +369,7 @@ def _joined_faults(table: ChannelTable, faults: Sequence[Fault], config: Config)
 
 def _finding(table: ChannelTable, fault: Fault, config: Config) -> Finding:
     names = tuple(table.names[channel] for channel in sorted(fault.suspects))
+    said = fault.testimony
     measure = _size if fault.shape.kind == "bias" else _shaped_size
     return Finding(
         kind=fault.shape.kind,
@@ -348,8 +377,16 @@ def _finding(table: ChannelTable, fault: Fault, config: Config) -> Finding:
         start_s=float(table.time_s[fault.start]),
         end_s=float(table.time_s[fault.stop - 1]),
         size=measure(table, fault, config),
-        detail=_detail(names, fault.shape.kind),
+        witness=SOURCE if said is not None and said.named is not None else None,
+        detail=_detail(names, fault.shape.kind) if said is None else _testified(names, said),
     )
+
+
+def _testified(names: tuple[str, ...], said: Statement) -> str:
+    """Detail of a finding on which the witness was heard."""
+    if said.named is None:
+        return f"{_detail(names, 'bias')}; {said.detail}"
+    return f"the attitude tells that it is the one that is off; {said.detail}"
 
 
 def _size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:

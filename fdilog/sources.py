@@ -16,6 +16,8 @@ from fdilog.errors import NoGyroError, UsageError, nearest
 from fdilog.offsets import ClockOffset, estimate_offset
 from fdilog.recording import Problem, Recording, Stream
 from fdilog.table import Channel, ChannelTable
+from fdilog.witness import SOURCE as WITNESS
+from fdilog.witness import Witness, attitude_stream, find_witness
 
 RAD_S = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3}
 AXIS_NAMES = "xyz"
@@ -84,6 +86,7 @@ class Assembly:
     problems: tuple[Problem, ...]
     zero_ns: int
     clocks: tuple[ClockOffset, ...]
+    witness: Witness | None = None
 
 
 def channel_table(recording: Recording, config: Config | None = None) -> ChannelTable:
@@ -133,13 +136,47 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         channels=_channels(gyros, axes),
         period_s=base.period_ns / 1e9,
     )
+    table, infos, witness = _witnessed(recording, table, infos, zero_ns, config)
+    if witness is not None and witness.clock is not None:
+        clocks = (*clocks, witness.clock)
     return Assembly(
         table=table,
         sources=tuple(infos),
         problems=(*problems, *_not_finite(gyros), *holes),
         zero_ns=zero_ns,
         clocks=clocks,
+        witness=witness,
     )
+
+
+def _witnessed(
+    recording: Recording,
+    table: ChannelTable,
+    infos: list[SourceInfo],
+    zero_ns: int,
+    config: Config,
+) -> tuple[ChannelTable, list[SourceInfo], Witness | None]:
+    """Add the attitude of the log to the table as a witness, and say why it was or was not used."""
+    stream = attitude_stream(recording)
+    if stream is None:
+        return table, infos, None
+    found: tuple[ChannelTable, Witness] | str = "not among the sources that the configuration uses"
+    if not config.sources.use or WITNESS in config.sources.use:
+        found = find_witness(recording, stream, table, zero_ns, config)
+    about = SourceInfo(
+        name=WITNESS,
+        topic=stream.name,
+        used=not isinstance(found, str),
+        reason=f"witness: the attitude, stamped by {stream.clock or 'its log'}",
+        rate_hz=stream.rate_hz,
+        samples=len(stream.time_ns),
+        derived=True,
+    )
+    others = [info for info in infos if info.topic != stream.name or not info.derived]
+    if isinstance(found, str):
+        return table, [*others, replace(about, reason=f"no witness: {found}")], None
+    table, witness = found
+    return table, [*others, about], witness
 
 
 def choose(recording: Recording, config: Config) -> tuple[list[Gyro], list[SourceInfo]]:
@@ -162,7 +199,7 @@ def choose(recording: Recording, config: Config) -> tuple[list[Gyro], list[Sourc
             infos.append(_info(gyro, used=gyro is best and not reason, reason=why))
         if not reason:
             chosen.append(best)
-    unknown = [name for name in config.sources.use if name not in by_sensor]
+    unknown = [name for name in config.sources.use if name not in (*by_sensor, WITNESS)]
     if unknown:
         raise UsageError(f"no source named '{unknown[0]}'{nearest(unknown[0], list(by_sensor))}")
     if not chosen:

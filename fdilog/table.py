@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -91,6 +92,23 @@ class ChannelTable:
     def duration_s(self) -> float:
         """From the first to the last sample. [s]"""
         return float(self.time_s[-1] - self.time_s[0]) if len(self.time_s) else 0.0
+
+    @property
+    def gyros(self) -> ChannelTable:
+        """The table without derived channels; itself if it holds none."""
+        return self.columns([k for k, channel in enumerate(self.channels) if not channel.derived])
+
+    def columns(self, kept: Sequence[int]) -> ChannelTable:
+        """Return the table with some of its channels, in the order given."""
+        if list(kept) == list(range(len(self.channels))):
+            return self
+        return ChannelTable(
+            time_s=self.time_s,
+            rate_rad_s=self.rate_rad_s[:, list(kept)],
+            valid=self.valid[:, list(kept)],
+            channels=tuple(self.channels[k] for k in kept),
+            period_s=self.period_s,
+        )
 
     def between(self, start_s: float, end_s: float) -> ChannelTable:
         """Return the part with start_s <= time_s <= end_s; times stay flight times."""

@@ -27,7 +27,7 @@ from fdilog_readers.dataflash_vehicle import (
 )
 
 # Read without being asked for: gyros, what corroborates them, and what tells of the vehicle.
-DEFAULT = re.compile(r"(IMU|GYR)\d?|ATT|RCOU|GPS|EV|ARM|MSG|PARM|VER|FMTU|UNIT|MULT")
+DEFAULT = re.compile(r"(IMU|GYR)\d?|ATT|MAG|RCOU|GPS|EV|ARM|MSG|PARM|VER|FMTU|UNIT|MULT")
 INSTANCE = "I"
 GYRO_NAME = re.compile(r"(IMU|GYR)(\d?)(?:\[(\d+)\])?")
 GYRO_AXES = ("GyrX", "GyrY", "GyrZ")
