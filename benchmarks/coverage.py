@@ -14,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.noise import student_quantile, windowed_mean
+from fdilog.noise import windowed_mean
+from fdilog.student import student_quantile
 
 Floats = NDArray[np.float64]
 Noise = Callable[[np.random.Generator, tuple[int, int]], Floats]

@@ -115,7 +115,7 @@ def noise_shares(moments: Moments) -> Floats:
 
     Solves ``G diag(s^2) G = V' C V`` for s^2 >= 0 in the least-squares sense, with C the covariance
     of the parity vector. The right side is the median over windows, because a fault or a manoeuvre
-    concerns few of them. Only ratios matter to the weights, so the result is scaled to a mean of one.
+    concerns few of them. Only ratios matter to the weights: the result has a mean of one.
     """
     parity = moments.parity
     q, k = parity.shape
@@ -125,17 +125,52 @@ def noise_shares(moments: Moments) -> Floats:
     design = np.array([np.outer(column, column)[upper] for column in projector.T]).T
     if q == 1 or not bool(known.any()) or np.linalg.matrix_rank(design) < k:
         return np.ones(k)
-    from scipy.optimize import nnls
-
     # In the space of the channels the median does not depend on the basis of the parity space.
     covariance = parity.T @ moments.parity_mean.covariance[known] @ parity
     target = np.median(covariance, axis=0)[upper]
     scale = float(np.abs(target).max())
     if scale == 0.0:
         return np.ones(k)
-    solution: Floats = nnls(design, target / scale)[0]
+    solution = non_negative_least_squares(design, target / scale)
     variance: Floats = np.maximum(solution, LEAST_VARIANCE_SHARE * solution.max())
     return variance / float(variance.mean())
+
+
+def non_negative_least_squares(design: Floats, target: Floats) -> Floats:
+    """Solve ``min |A x - b|`` over x >= 0 for a dozen unknowns or fewer.
+
+    Parameters
+    ----------
+    design : (n, k)
+        A, of full rank.
+    target : (n,)
+        b.
+
+    References
+    ----------
+    C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, Prentice-Hall 1974, chapter 23.
+    """
+    k = design.shape[1]
+    found = np.zeros(k)
+    free = np.zeros(k, bool)
+    gradient = design.T @ target
+    tolerance = 1e-12 * float(np.abs(gradient).max(initial=0.0))
+    while not free.all() and float(gradient[~free].max()) > tolerance:
+        free[np.where(free, -np.inf, gradient).argmax()] = True
+        while True:
+            trial = np.zeros(k)
+            trial[free] = np.linalg.lstsq(design[:, free], target, rcond=None)[0]
+            leaving = free & (trial <= 0.0)
+            if not leaving.any():
+                break
+            # Go towards the trial as far as no unknown turns negative, and let go of those at zero.
+            part = float((found[leaving] / (found[leaving] - trial[leaving])).min())
+            found = found + part * (trial - found)
+            free &= found > tolerance
+            found[~free] = 0.0
+        found = trial
+        gradient = design.T @ (target - design @ found)
+    return found
 
 
 def compare(

@@ -43,6 +43,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fdilog.student import student_quantile
+
 Floats = NDArray[np.float64]
 
 MIN_SAMPLES = 3
@@ -334,48 +336,6 @@ def _inverse_chi_square(log_var: Floats) -> tuple[Floats, Floats]:
     log_spread = np.log(log_var)
     dof: Floats = np.exp(np.interp(log_spread, spreads, log_dofs))
     return dof, np.interp(log_spread, spreads, shifts)
-
-
-def student_quantile(dof: ArrayLike, confidence: float) -> Floats:
-    """Two-sided Student quantile: the interval half-width in standard errors.
-
-    Parameters
-    ----------
-    dof : any shape
-        Degrees of freedom, not necessarily whole; 0 gives infinity.
-    confidence
-        Probability that the interval covers, in [0, 1).
-
-    Raises
-    ------
-    ValueError
-        If the confidence is not in [0, 1).
-    """
-    from scipy.special import stdtrit
-
-    if not 0.0 <= confidence < 1.0:
-        raise ValueError(f"confidence must be in [0, 1), not {confidence}")
-    values = np.asarray(dof, dtype=np.float64)
-    result = np.full(values.shape, np.inf)
-    known = values > 0
-    distinct, place = np.unique(np.minimum(values[known], 1e10), return_inverse=True)
-    if len(distinct) <= TABLE_KNOTS:
-        quantile = -stdtrit(distinct, 0.5 * (1.0 - confidence))
-    else:
-        quantile = _interpolated_quantile(distinct, confidence)
-    result[known] = quantile[place]
-    return result
-
-
-def _interpolated_quantile(distinct: Floats, confidence: float) -> Floats:
-    """Quantile at sorted degrees of freedom, log t linear in log dof between knots."""
-    from scipy.special import stdtrit
-
-    knots = np.geomspace(distinct[0], distinct[-1], TABLE_KNOTS)
-    table = -stdtrit(knots, 0.5 * (1.0 - confidence))
-    if confidence == 0.0:
-        return np.zeros_like(distinct)
-    return np.asarray(np.exp(np.interp(np.log(distinct), np.log(knots), np.log(table))))
 
 
 def robust_sigma(x: ArrayLike, axis: int | None = 0) -> Floats:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.noise import student_quantile
+from fdilog.student import student_quantile
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
-from fdilog.noise import student_quantile
+from fdilog.student import student_quantile
 from fdilog.registry import Stage
 from fdilog.windows import Survey
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
-from fdilog.noise import student_quantile
+from fdilog.student import student_quantile
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
 from fdilog.windows import Survey, spans

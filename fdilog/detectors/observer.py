@@ -27,6 +27,8 @@ from fdilog.geometry import RANK_TOLERANCE, Floats
 
 FORGOTTEN = 1e-18
 """Share of a state so old that adding it changes no digit of a double."""
+# A matrix of norm 1/16 has converged to the last bit after as many terms.
+EXPONENTIAL_TERMS = 14
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,14 +130,42 @@ def design_observer(
     )
 
 
+def _exponential(matrix: Floats) -> Floats:
+    """Matrix exponential by a Taylor series of the matrix halved until it is small, and squaring.
+
+    References
+    ----------
+    C. Moler, C. Van Loan, "Nineteen dubious ways to compute the exponential of a matrix,
+    twenty-five years later", SIAM Review 45(1), 2003, method 3.
+    """
+    halvings = max(
+        0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(initial=0.0), 1e-9)))) + 4
+    )
+    small = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for k in range(1, EXPONENTIAL_TERMS):
+        term = term @ small / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def _logarithm(matrix: Floats) -> Floats:
+    """Principal matrix logarithm by eigenvectors: a fitted matrix has distinct eigenvalues."""
+    values, vectors = np.linalg.eig(matrix)
+    logarithm: Floats = np.real(
+        vectors @ np.diag(np.log(values.astype(complex))) @ np.linalg.inv(vectors)
+    )
+    return logarithm
+
+
 def held_step(dynamics: Floats, inputs: Floats, step_s: float) -> tuple[Floats, Floats]:
     """Discretise x' = A x + B u exactly, with u held over each step: F (n, n) and g (n, m)."""
-    from scipy.linalg import expm
-
     n, m = inputs.shape
     joint = np.zeros((n + m, n + m))
     joint[:n, :n], joint[:n, n:] = dynamics, inputs
-    step: Floats = expm(joint * step_s)
+    step = _exponential(joint * step_s)
     return step[:n, :n], step[:n, n:]
 
 
@@ -298,8 +328,6 @@ def identify_model(
     [Observer24] takes A and B from hydrodynamic coefficients that are not legible; a log gives its
     own.
     """
-    from scipy.linalg import logm
-
     x = np.asarray(states, dtype=np.float64)
     u = np.asarray(inputs_held, dtype=np.float64)
     if x.ndim != 2 or u.ndim != 2 or len(x) != len(u):
@@ -318,5 +346,5 @@ def identify_model(
     # The logarithm is real only if no pole lies on the negative real axis or at zero.
     if ((poles.real <= 0) & (np.abs(poles.imag) <= RANK_TOLERANCE)).any():
         raise ValueError("the fit is no step of a continuous model: the sampling is too coarse")
-    continuous = np.real(logm(joint)) / step_s
+    continuous = _logarithm(joint) / step_s
     return continuous[:n, :n], continuous[:n, n:]

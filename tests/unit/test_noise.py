@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog import noise
-from fdilog.noise import quantisation_step, robust_sigma, student_quantile, windowed_mean
+from fdilog.noise import quantisation_step, robust_sigma, windowed_mean
+from fdilog.student import student_quantile
 
 Floats = NDArray[np.float64]
 
