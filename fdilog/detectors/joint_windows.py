@@ -2,6 +2,11 @@
 
 The formula is `fdilog.detectors.joint.joint_test`; here stands what a log needs around it: the
 noise of every window, and a check of every answer.
+
+It is asked about the means of short segments, not about samples. Vibration is no rate to judge a
+scale factor by: every gyro feels its own, and what a gyro reads of it stands in the estimated rate
+as well as in the residual, so that noise of unequal size looks like a scale error. In the means it
+is small, and the long-run variance of the window is the right measure of their noise.
 """
 
 from __future__ import annotations
@@ -26,12 +31,18 @@ from fdilog.isolation import (
     family_wise_confidence,
     noise_shares,
 )
-from fdilog.noise import MAX_COSINES, windowed_mean
+from fdilog.noise import windowed_mean
 from fdilog.registry import Stage
 from fdilog.windows import Moments, Survey
 
-FEWEST_SAMPLES = 40
-"""Ten for each coefficient that noise must be told from: a constant and three rates."""
+FEWEST_SAMPLES = 100
+"""Twenty segments of five readings: less leaves either the vibration in or the noise unknown."""
+
+SEGMENT_SAMPLES = 5
+"""Readings in the shortest segment."""
+
+MOST_SEGMENTS = 40
+"""Enough to follow a manoeuvre; long windows take longer segments."""
 
 FEWEST_DOF = 1.0
 """With less the noise of a window is not known at all."""
@@ -46,12 +57,12 @@ ISOLATION = 0.8
 """Share of the likelihood that the channels named must hold together, as in `joint_suspects`."""
 
 BLOCK_VALUES = 250_000
-"""Readings worked on at once, 2 MB: bounds the memory and stays in the processor's cache."""
+"""Means worked on at once, 2 MB: bounds the memory and stays in the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointDetector:
-    """Bias and scale error in windows of 40 samples or more; shorter ones are not tested.
+    """Bias and scale error in windows of 100 samples or more; shorter ones are not tested.
 
     It needs no full rank: parallel gyros, two or more, are tested against the rate about their own
     axis. The rate must vary for a scale error to be told from a bias; either is accused.
@@ -74,22 +85,31 @@ class _Block:
 
     Parameters
     ----------
-    readings : (n_samples, k)
-        Readings at the instants at which all channels of the block were recorded. [rad/s]
+    total : (n_samples + 1, k)
+        Sums of the readings from the first instant on at which all channels of the block were
+        recorded. [rad/s]
     start : (n,)
-        First of them in each window, which holds `size`.
+        First of these instants in each window.
+    edges : (n_segments + 1,)
+        Where the segments of a window begin and end.
+    segment_s
+        Length of a segment. [s]
     relative : (k,)
         Noise variances relative to one another. [1]
     level : (n,)
-        Noise of a sample: ``2^(level / LEVELS_PER_OCTAVE)`` tolerances.
+        Noise of the mean of a segment: ``2^(level / LEVELS_PER_OCTAVE)`` tolerances.
+    moving : (n,) bool
+        Whether the rate varies enough to judge scale factors by.
     """
 
-    readings: Floats
+    total: Floats
     start: NDArray[np.int64]
-    size: int
+    edges: NDArray[np.int64]
+    segment_s: float
     axes: Floats
     relative: Floats
     level: NDArray[np.int64]
+    moving: NDArray[np.bool_]
     config: Config
 
     def ratios(
@@ -100,26 +120,30 @@ class _Block:
         found = np.empty((len(rows), n * (n - 1) // 2 if doubles else n))
         tolerance = np.radians(self.config.tolerance.bias_deg_s)
         least = LEAST_SIGMA * tolerance
-        for level in np.unique(self.level[rows]).tolist():
+        kinds, kind = np.unique(
+            np.column_stack([self.level, self.moving])[rows], axis=0, return_inverse=True
+        )
+        for number, (level, moving) in enumerate(kinds.tolist()):
             sigma = tolerance * 2.0 ** (level / LEVELS_PER_OCTAVE)
-            of_level = np.flatnonzero(self.level[rows] == level)
-            for at in _chunks(of_level, self.size * n):
+            # Next to nothing is no scale error at all, of a failed channel either.
+            scale_sigma = self.config.noise.scale_sigma if moving else float(np.finfo(float).eps)
+            for at in _chunks(np.flatnonzero(kind == number), len(self.edges) * len(self.axes)):
                 test = joint_test(
-                    self.gather(rows[at])[:, :, channels],
+                    self.means(rows[at])[:, :, channels],
                     self.axes[channels],
                     sigma * np.sqrt(self.relative[channels]),
                     max(np.radians(self.config.noise.bias_sigma_deg_s), least, LEAST_SIGMA * sigma),
-                    # Next to nothing is no scale error at all, of a failed channel either.
-                    max(self.config.noise.scale_sigma, np.finfo(float).eps),
+                    scale_sigma,
                     doubles=doubles,
                 )
                 found[at] = test.double if doubles else test.single
         return found
 
-    def gather(self, rows: NDArray[np.intp]) -> Floats:
-        """Return the readings of some windows, (n_rows, size, k)."""
-        readings: Floats = self.readings[self.start[rows, None] + np.arange(self.size)]
-        return readings
+    def means(self, rows: NDArray[np.intp]) -> Floats:
+        """Return the means of the segments of some windows, (n_rows, n_segments, k)."""
+        sums = np.diff(self.total[self.start[rows, None] + self.edges], axis=1)
+        means: Floats = sums / np.diff(self.edges)[:, None]
+        return means
 
 
 def _chunks(rows: NDArray[np.intp], values_per_row: int) -> Iterator[NDArray[np.intp]]:
@@ -198,29 +222,59 @@ def _block(moments: Moments, survey: Survey) -> tuple[_Block | None, NDArray[np.
     size = int((before[windows.stop[moments.windows]] - start)[0]) if len(start) else 0
     if size < FEWEST_SAMPLES:
         return None, np.zeros(0, np.intp)
+    readings = (table.rate_rad_s if together.all() else table.rate_rad_s[together])[:, columns]
+    total = np.zeros((len(readings) + 1, len(columns)))
+    np.cumsum(readings, axis=0, out=total[1:])
+    segments = min(MOST_SEGMENTS, size // SEGMENT_SAMPLES)
     block = _Block(
-        readings=(table.rate_rad_s if together.all() else table.rate_rad_s[together])[:, columns],
+        total=total,
         start=start,
-        size=size,
+        edges=np.linspace(0, size, segments + 1).astype(np.int64),
+        segment_s=size / segments * table.period_s,
         axes=table.axes[columns],
         relative=noise_shares(moments),
         level=np.zeros(len(start), np.int64),
+        moving=np.zeros(len(start), bool),
         config=survey.config,
     )
     config = survey.config
     confidence = family_wise_confidence(config, windows.length_s, len(columns))
-    # Sources sampled at different instants differ by the rate of change all through the window.
-    late = config.noise.time_sigma_s * np.abs(moments.slope).max(axis=1, initial=0.0)
-    tolerance = np.radians(config.tolerance.bias_deg_s)
-    bounds = []
-    for variance, dof in _noise(block, moments):
-        sigma = np.maximum(np.sqrt(variance + size * late**2), LEAST_SIGMA * tolerance)
-        bounds.append(sigma * _inflation(dof, confidence, config.windows.confidence, len(columns)))
+    least = LEAST_SIGMA * np.radians(config.tolerance.bias_deg_s)
+    fitted, plain = _noise(block, moments)
+    bounds = [
+        np.maximum(np.sqrt(noise.variance), least)
+        * _inflation(noise.dof, confidence, config.windows.confidence, len(columns))
+        for noise in (fitted, plain)
+    ]
     # Both hold; the smaller one fails no more often than the two together.
-    octaves = np.log2(np.minimum(*bounds) / tolerance)
+    octaves = np.log2(np.minimum(*bounds) * (LEAST_SIGMA / least))
     known = np.flatnonzero(np.isfinite(octaves))
     block.level[known] = np.ceil(LEVELS_PER_OCTAVE * octaves[known]).astype(np.int64)
+    # Noise that stands in the rate and in the residual looks like a scale error of their ratio of
+    # variances at most: a healthy one where the rate varies so much.
+    block.moving[:] = config.noise.scale_sigma * fitted.motion > fitted.variance
     return block, known
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Noise:
+    """Noise of the mean of a segment in every window, by its long-run variance.
+
+    Parameters
+    ----------
+    variance : (n,)
+        In the direction of parity space in which it is largest, in units of the relative noise of
+        the channels; infinite if not known. [rad^2/s^2]
+    dof : (n,)
+        Degrees of freedom.
+    motion : (n,)
+        Variance over the window of the estimated rate, along the axis about which it varies least.
+        [rad^2/s^2]
+    """
+
+    variance: Floats
+    dof: Floats
+    motion: Floats
 
 
 def _inflation(dof: Floats, family: float, printed: float, hypotheses: int) -> Floats:
@@ -239,54 +293,48 @@ def _inflation(dof: Floats, family: float, printed: float, hypotheses: int) -> F
     return inflation
 
 
-def _noise(block: _Block, moments: Moments) -> Iterator[tuple[Floats, Floats]]:
-    """Noise of one sample in every window, as white noise of that level would average out.
+def _noise(block: _Block, moments: Moments) -> tuple[_Noise, _Noise]:
+    """Measure the noise twice: less scale errors of any size, and with what is in it.
 
-    Yields twice, from the parity vector as it is and from what is left of it when scale errors of
-    any size are fitted. The first is better known, the second is not fooled by scale errors.
-
-    Yields
-    ------
-    variance : (n,)
-        Long-run variance of a sample, or plain variance where that is larger, in the direction in
-        which it is largest. In units of the relative noise of the channels; infinite if not known.
-        [rad^2/s^2]
-    dof : (n,)
-        Degrees of freedom.
+    The first is not fooled by scale errors, the second is better known.
     """
-    n, size = len(block.start), block.size
+    n, segments = len(block.start), len(block.edges) - 1
     parity = moments.parity
-    factor = np.linalg.cholesky(parity @ np.diag(block.relative) @ parity.T)
-    to_parity = np.linalg.solve(factor, parity).T
+    whiten: Floats = np.linalg.inv(
+        np.linalg.cholesky(parity @ np.diag(block.relative) @ parity.T)
+    ).astype(np.float64)
     rank = len(block.axes) - len(parity)
     # A scale error adds a multiple of the rate to the parity vector: rates are fitted.
     fitted = rank if block.config.noise.scale_sigma > 0.0 else 0
     to_rate = np.linalg.pinv(block.axes).T @ np.linalg.svd(block.axes)[2][:fitted].T
-    plain, variance, dof = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
-    q, to_series = len(parity), np.hstack([to_parity, to_rate])
-    for at in _chunks(np.arange(n), size * len(block.axes)):
-        series = block.gather(at) @ to_series
-        series -= series.mean(axis=1, keepdims=True)
-        left, rates = series[..., :q], series[..., q:]
-        products = np.swapaxes(series, 1, 2) @ series
-        spread, across = products[:, :q, :q], products[:, q:, :q]
+    left = np.empty((n, segments, len(parity)))
+    late, motion = np.empty(n), np.zeros(n)
+    for at in _chunks(np.arange(n), len(block.edges) * len(block.axes)):
+        means = block.means(at)
+        # Sources sampled at different instants differ by the rate of change.
+        change = np.diff(means, axis=1) / block.segment_s
+        late[at] = (change**2).mean(axis=1).max(axis=1) * block.config.noise.time_sigma_s**2
+        means -= means.mean(axis=1, keepdims=True)
+        left[at] = means @ (whiten @ parity).T
         if fitted:
-            fit = np.linalg.pinv(products[:, q:, q:], hermitian=True) @ across
-            # One rate is multiplied, not matrix-multiplied: BLAS starts threads for single columns.
-            left -= rates * fit if fitted == 1 else rates @ fit
-            spread = spread - np.swapaxes(across, 1, 2) @ fit
-        plain[at] = _largest(spread / (size - 1 - fitted))
-        looks = windowed_mean(left)
-        known = looks.dof > 0
-        variance[at[known]] = size * _largest(looks.covariance[known])
-        dof[at] = looks.dof * (1.0 - fitted / min(size - 1, MAX_COSINES))
-    yield np.maximum(plain, variance), dof
-    looks = moments.parity_mean
-    known = looks.dof > 0
-    whiten: Floats = np.linalg.inv(factor)
-    unfitted = np.full(n, np.inf)
-    unfitted[known] = size * _largest(whiten @ looks.covariance[known] @ whiten.T)
-    yield np.maximum(plain, unfitted), looks.dof
+            rates = means @ to_rate
+            fit = np.linalg.pinv(rates) @ left[at]
+            left[at] -= rates @ fit
+            along = means @ (block.axes @ np.linalg.pinv(block.axes)).T
+            motion[at] = along.var(axis=1).min(axis=1)
+    looks = windowed_mean(left)
+    plain = _largest(np.swapaxes(left, 1, 2) @ left) / (segments - 1 - fitted)
+    free = 1.0 - fitted / (segments - 1)
+    mean = moments.parity_mean
+    known = mean.dof > 0
+    raw = np.full_like(mean.covariance, np.inf)
+    raw[known] = whiten @ mean.covariance[known] @ whiten.T
+    both = []
+    for covariance, dof in ((looks.covariance, looks.dof * free), (raw, mean.dof)):
+        variance = np.full(n, np.inf)
+        variance[dof > 0] = segments * _largest(covariance[dof > 0])
+        both.append(_Noise(variance=np.maximum(variance, plain) + late, dof=dof, motion=motion))
+    return both[0], both[1]
 
 
 def _largest(covariance: Floats) -> Floats:

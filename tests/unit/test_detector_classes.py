@@ -205,6 +205,21 @@ def test_wandering_noise_gives_the_joint_test_no_failure() -> None:
         assert not found.accused.any()
 
 
+@pytest.mark.parametrize(("geometry", "channels"), [*UNITS, ("aligned-triads", 6)])
+def test_unequal_noise_at_rest_is_no_scale_error(geometry: str, channels: int) -> None:
+    # The estimated rate is all noise there, and the noisy gyro's stands in it and in the residual.
+    sigma = np.where(np.arange(channels) == 2, 1.0, 0.1) * DEG
+    for seed in range(5):
+        table = unit(geometry, channels, seconds=60.0)
+        noise = np.random.default_rng(seed).normal(0.0, sigma, table.rate_rad_s.shape)
+        for survey in surveys(
+            put(table, noise), Config().replace("windows", lengths_s=(5.0, 20.0))
+        ):
+            found = evidence("joint", survey)
+            assert found.tested.all()
+            assert not found.accused.any()
+
+
 @pytest.mark.parametrize("geometry", ["pentagon", "dodecahedron", "mirrored-triads"])
 def test_the_ratio_of_innovations_is_that_of_the_filter(geometry: str) -> None:
     axes = named_axes(geometry)
