@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.finding import Evidence
 from fdilog.geometry import leave_one_out
+from fdilog.student import student_quantile
 from fdilog.windows import Moments, Survey
 
 Floats = NDArray[np.float64]
@@ -204,8 +205,13 @@ def compare(
     of_parity = rows @ moments.parity.T
     looks = moments.parity_mean
     error = looks.mean @ of_parity.T
+    known = looks.dof > 0
+    covariance = np.where(known[:, None, None], looks.covariance, 0.0)
+    variance_of_error = np.einsum("iq,wqr,ir->wi", of_parity, covariance, of_parity)
+    sigma_of_error = np.sqrt(np.maximum(variance_of_error, 0.0))
     half_width, doubt = (
-        np.column_stack([looks.half_width(row, confidence) for row in of_parity])
+        np.where(known, student_quantile(looks.dof, confidence), np.inf)[:, None]
+        * np.where(known[:, None], sigma_of_error, 1.0)
         for confidence in (config.windows.confidence, family_confidence)
     )
     predicted = moments.mean - error
