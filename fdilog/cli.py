@@ -473,7 +473,7 @@ def sensitivity(
     kinds: Annotated[str, typer.Option(metavar="a,b,c", help="Which kinds; all by default.")] = "",
     channels: Annotated[str, typer.Option(metavar="a,b,c", help="Which channels; all.")] = "",
     duration_s: Annotated[float, typer.Option("--duration", help="Of a fault. [s]")] = 20.0,
-    trials: Annotated[int, typer.Option(min=1, help="At how many starts each is tried.")] = 3,
+    trials: Annotated[int, typer.Option(min=1, help="At how many starts each is tried.")] = 2,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts and of added noise.")] = 0,
     jobs: Annotated[
         int, typer.Option("-j", "--jobs", min=0, help="Processes; 0: one a processor.")
@@ -560,3 +560,75 @@ def reproduce(
     text = report.as_json(rows, drawn) if as_json else report.in_words(rows, drawn)
     typer.echo(text, nl=False)
     raise typer.Exit(int(not report.all_agree(rows)))
+
+
+@app.command()
+def audit(
+    targets: Annotated[
+        list[str],
+        typer.Argument(metavar="DIR|GLOB|LOG|URL...", help="Where the logs of the campaign are."),
+    ],
+    *,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="OUT", help="Folder for results and reports.")
+    ],
+    jobs: Annotated[
+        int, typer.Option("-j", "--jobs", min=0, metavar="N", help="Workers; 0: one a core.")
+    ] = 0,
+    cluster: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786.")
+    ] = "",
+    timeout: Annotated[
+        float, typer.Option(min=0.0, metavar="S", help="What one log may take; 0: no limit. [s]")
+    ] = 600.0,
+    memory: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="GB", help="What one worker may take; default: its share; 0: no limit."
+        ),
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Do logs again that are done.")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Go on looking for new logs, until Ctrl-C.")
+    ] = False,
+    formats: Annotated[
+        str, typer.Option("--format", metavar="html,md,json", help="Which reports of each log.")
+    ] = "html,md,json",
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="No progress.")] = False,
+    config: ConfigFile = None,
+    geometry: Annotated[str, typer.Option(metavar="NAME|FILE")] = "",
+    detectors: Annotated[str, typer.Option(metavar="a,b,c")] = "",
+    tolerance: Annotated[float | None, typer.Option(metavar="DEG_S")] = None,
+) -> None:
+    """Analyse every log of a campaign, and say which vehicles and sensors fail or get worse.
+
+    What was done before is not done again. Exit code: 0 all healthy, 1 a gyro failed, 3 some log
+    was undecided or could not be analysed, 2 none could.
+    """
+    from fdilog.campaign.audit import Settings
+    from fdilog.campaign.audit import audit as audit_campaign
+    from fdilog.campaign.progress import shown_progress, summary_lines
+
+    settings = Settings(
+        config=_settings(config, geometry, detectors, tolerance),
+        jobs=jobs,
+        cluster=cluster,
+        timeout_s=timeout,
+        memory_bytes=None if memory is None else int(memory * 1e9),
+        fresh=fresh,
+        formats=tuple(_report_names(formats, output)),
+    )
+    endless = (lambda: True) if follow else None
+    with shown_progress(quiet=quiet) as progress:
+        campaign = audit_campaign(targets, output, settings, progress, follow=endless)
+    for line in summary_lines(campaign, output):
+        typer.echo(line)
+    by_state = {
+        "healthy": ExitCode.HEALTHY,
+        "failed": ExitCode.FAILED,
+        "not analysed": ExitCode.NOTHING,
+    }
+    states = [state for state, number in campaign.counts.items() if number]
+    raise typer.Exit(
+        _joint_exit_code([by_state.get(state, ExitCode.UNDECIDED) for state in states])
+    )

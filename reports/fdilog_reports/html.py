@@ -14,7 +14,7 @@ from fdilog_reports.view import report
 suffix = ".html"
 
 # JSON allows these escapes in every string; nothing of a script element's syntax is left.
-_SCRIPT_SAFE = str.maketrans(
+SCRIPT_SAFE = str.maketrans(
     {"<": r"\u003c", ">": r"\u003e", "&": r"\u0026", "\u2028": r"\u2028", "\u2029": r"\u2029"}
 )
 
@@ -31,7 +31,7 @@ def render(analysis: Analysis) -> str:
             report=report(analysis),
             timeline=timeline(analysis),
             residuals=residual_picture(analysis),
-            json=Markup(result.translate(_SCRIPT_SAFE)),  # noqa: S704  escaped for where it goes
+            json=Markup(result.translate(SCRIPT_SAFE)),  # noqa: S704  escaped for where it goes
             json_base64=base64.b64encode(result.encode()).decode(),
         )
     )

@@ -26,7 +26,7 @@ def render(analysis: Analysis) -> str:
     ``\udcff``, from which Python's ``os.fsencode`` makes the byte again.
     """
     text = json.dumps(
-        _plain(result(analysis)), ensure_ascii=False, allow_nan=False, separators=(",", ":")
+        plain(result(analysis)), ensure_ascii=False, allow_nan=False, separators=(",", ":")
     )
     return _LONE_SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text) + "\n"
 
@@ -109,7 +109,7 @@ def result(analysis: Analysis) -> dict[str, Any]:
             "groups": analysis.isolability.groups,
         },
         "verdict": analysis.verdict,
-        "findings": [_finding(finding) for finding in analysis.findings],
+        "findings": [finding_result(finding) for finding in analysis.findings],
     }
 
 
@@ -123,7 +123,8 @@ def _problem(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def finding_result(finding: Finding) -> dict[str, Any]:
+    """Return one finding as the contract words it."""
     return {
         "kind": finding.kind,
         "suspects": finding.suspects,
@@ -155,12 +156,12 @@ def _guaranteed(interval: Interval | None) -> dict[str, Any] | None:
     return None if interval is None else {"low": interval.low, "high": interval.high}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Turn NumPy scalars into Python's, and what is not finite into null."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

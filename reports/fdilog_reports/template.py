@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_FOLDER = Path(__file__).parent / "templates"
+FOLDER = Path(__file__).parent / "templates"
 
 # Everything that CommonMark or its tables and autolinks could take for markup. An underscore
 # inside a word is none, and most channel and topic names would be unreadable with it escaped.
@@ -65,7 +65,7 @@ def _environment(*, autoescape: bool) -> Environment:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     return Environment(
-        loader=FileSystemLoader(_FOLDER),
+        loader=FileSystemLoader(FOLDER),
         autoescape=autoescape,  # noqa: S701  Markdown has its own, in `finalize`
         undefined=StrictUndefined,
         trim_blocks=True,
