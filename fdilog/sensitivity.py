@@ -29,7 +29,7 @@ from fdilog.registry import plugins
 from fdilog.table import ChannelTable
 
 DURATION_S = 20.0
-TRIALS = 3
+TRIALS = 2
 SEED = 0
 
 RESOLUTION = 1.25
