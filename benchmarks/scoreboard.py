@@ -224,7 +224,8 @@ def drawn(
 ) -> Fault | None:
     """Draw channel, start and sign; the span is recorded whole and shows nothing by itself."""
     first, last = float(table.time_s[0]) + MARGIN_S, float(table.time_s[-1]) - MARGIN_S
-    own = [c for c in table.channels if not c.derived]
+    gyros = np.array([not channel.derived for channel in table.channels])
+    own = [channel for channel in table.channels if not channel.derived]
     if case.duration_s and case.duration_s < FEWEST_PERIODS / min(c.rate_hz for c in own):
         return None
     for _ in range(100):
@@ -245,7 +246,8 @@ def drawn(
         end_s = start_s + (case.duration_s or 1.5 / channel.rate_hz)
         inside = (table.time_s >= start_s) & (table.time_s <= end_s)
         gaps = np.diff(table.time_s[inside])
-        whole = bool(table.valid[inside].all()) and bool((gaps < CONFIG.tolerance.dropout_s).all())
+        whole = bool(table.valid[np.ix_(inside, gyros)].all())
+        whole &= bool((gaps < CONFIG.tolerance.dropout_s).all())
         if not whole and table.period_s < CONFIG.tolerance.dropout_s / 2:
             continue
         if any(f.start_s - MARGIN_S < end_s and f.end_s + MARGIN_S > start_s for f in findings):
