@@ -71,7 +71,7 @@ def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[
             continue
         parity = parity_matrix(table.axes[columns])
         fitted = _huber(
-            means[np.ix_(np.flatnonzero(known), columns)] @ parity.T,
+            means[known][:, columns] @ parity.T,
             rates[known],
             config.noise.scale_sigma,
         )

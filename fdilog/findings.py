@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +16,9 @@ from fdilog.isolation import compare, isolate
 from fdilog.noise import windowed_mean
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
+from fdilog.testimony import Statement
 from fdilog.windows import Moments, Survey, spans
-from fdilog.witness import SOURCE, Statement
+from fdilog.witness import SOURCE
 
 Hearing = Callable[[Sequence[int], tuple[int, int]], Statement]
 """Asks the witness which of some gyros was off over a span of samples."""
@@ -26,6 +27,8 @@ Hearing = Callable[[Sequence[int], tuple[int, int]], Statement]
 OTHER_SHAPE = 2.0 * np.log(1000.0)
 # Fewer samples have no shape to speak of.
 FEWEST_SHAPED = 20
+# Manoeuvres take longer than this, vibration is faster. [s]
+MANOEUVRE_S = 0.5
 # A fault that single samples show, miss and show again within this time is one fault. [s]
 REJOINED_S = 1.0
 
@@ -163,14 +166,8 @@ def bias_findings(
         if fault is None:
             continue
         finding = _finding(table, fault, config)
-        agree, dissent = [], []
-        for name, said in by_detector.items():
-            named = [a.suspects for a in said if _overlap(table, a, finding)]
-            if any(suspects & fault.suspects for suspects in named):
-                agree.append(name)
-            elif not named or any(_same_block(table, them, fault.suspects) for them in named):
-                dissent.append(name)
-        findings.append(replace(finding, detectors=tuple(agree), dissent=tuple(dissent)))
+        agree, dissent = _sides(table, evidence, by_detector, fault)
+        findings.append(replace(finding, detectors=agree, dissent=dissent))
     return findings
 
 
@@ -201,22 +198,40 @@ class Trace:
 
     Parameters
     ----------
-    rows : (n,) int64
-        Samples of the table.
+    rows, last : (n,) int64
+        Samples of the table; of means, the first and the last that were averaged.
     time_s, residual, predicted : (n,)
         Their times [s], reading less prediction less the level outside the region [rad/s], and
         prediction [rad/s].
     """
 
     rows: NDArray[np.int64]
+    last: NDArray[np.int64]
     time_s: NDArray[np.float64]
     residual: NDArray[np.float64]
     predicted: NDArray[np.float64]
 
     def placed(self, shape: Shape) -> Shape:
         """Return a shape found in this trace with its samples counted in the table."""
-        start, stop = int(self.rows[shape.start]), int(self.rows[shape.stop - 1]) + 1
+        start, stop = int(self.rows[shape.start]), int(self.last[shape.stop - 1]) + 1
         return replace(shape, start=start, stop=stop)
+
+    def averaged(self) -> Trace:
+        """Return means over `MANOEUVRE_S`, in which motion is left and vibration is not.
+
+        The prediction holds the vibration of the gyros that it is made of, the residual the same
+        with the opposite sign: sample by sample, that alone looks like a scale error.
+        """
+        bins = np.floor(self.time_s / MANOEUVRE_S)
+        first = np.flatnonzero(np.concatenate([[True], np.diff(bins) > 0]))
+        count = np.diff(np.append(first, len(bins)))
+        return Trace(
+            rows=self.rows[first],
+            last=self.last[first + count - 1],
+            time_s=np.add.reduceat(self.time_s, first) / count,
+            residual=np.add.reduceat(self.residual, first) / count,
+            predicted=np.add.reduceat(self.predicted, first) / count,
+        )
 
     def noise_about(self, shape: Shape) -> tuple[float, float]:
         """Long-run noise variance per sample about a shape of this trace, and its dof."""
@@ -254,6 +269,7 @@ def _trace(
     level = float(np.median(residual[outside])) if outside.sum() >= len(rows) / 4 else 0.0
     return Trace(
         rows=rows,
+        last=rows,
         time_s=table.time_s[rows],
         residual=residual[rows] - level,
         predicted=table.rate_rad_s[rows, channel] - residual[rows],
@@ -285,20 +301,24 @@ def _shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
     trace = _trace(table, channel, fault.removed, *around)
     if trace is None:
         return fault
-    whole = _trace(table, channel, fault.removed, 0, len(table.time_s)) or trace
-    best, best_trace = best_step(trace.residual), trace
-    for other, seen in (
-        (best_ramp(trace.residual, trace.time_s), trace),
+    found = _other_shape(trace, best_ramp(trace.residual, trace.time_s))
+    if found is None:
         # A scale error shows wherever the rate is high, not only where it was noticed.
-        (best_scale(whole.residual, whole.predicted), whole),
-    ):
-        if other.stop - other.start < FEWEST_SHAPED:
-            continue
-        noise, dof = seen.noise_about(other)
-        beyond = other.kind != "scale" or abs(other.size) > config.tolerance.scale
-        if dof > 0 and beyond and other.gain - best.gain > OTHER_SHAPE * noise:
-            best, best_trace = other, seen
-    return fault if best.kind == "bias" else replace(fault, shape=best_trace.placed(best))
+        whole = _trace(table, channel, fault.removed, 0, len(table.time_s)) or trace
+        whole = whole.averaged()
+        scale = best_scale(whole.residual, whole.predicted)
+        if abs(scale.size) > config.tolerance.scale:
+            found = _other_shape(whole, scale)
+    return fault if found is None else replace(fault, shape=found)
+
+
+def _other_shape(trace: Trace, shape: Shape) -> Shape | None:
+    """Return a shape, placed in the table, if it explains a trace far better than a step does."""
+    if shape.stop - shape.start < FEWEST_SHAPED:
+        return None
+    noise, dof = trace.noise_about(shape)
+    more = shape.gain - best_step(trace.residual).gain
+    return trace.placed(shape) if dof > 0 and more > OTHER_SHAPE * noise else None
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
@@ -420,6 +440,8 @@ def _shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | No
     trace = _trace(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
     if trace is None:
         return None
+    if fault.shape.kind == "scale":
+        trace = trace.averaged()
     whole = replace(fault.shape, start=0, stop=len(trace.rows))
     noise, dof = trace.noise_about(whole)
     power = float((trace.form(whole) ** 2).sum())
@@ -572,9 +594,36 @@ def _guaranteed(table: ChannelTable, evidence: Evidence, cluster: Cluster) -> Fi
     )
 
 
-def _overlap(table: ChannelTable, said: Accusation, finding: Finding) -> bool:
-    start_s, end_s = table.time_s[said.start], table.time_s[said.stop - 1]
-    return bool(start_s <= finding.end_s and end_s >= finding.start_s)
+def _sides(
+    table: ChannelTable,
+    evidence: Sequence[Evidence],
+    by_detector: Mapping[str, Sequence[Accusation]],
+    fault: Fault,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Name the detectors that accuse the suspects meanwhile, and those that looked and do not.
+
+    A detector that could not test them, or that accuses channels of another block, is on neither
+    side.
+    """
+    suspects = sorted(fault.suspects)
+    agree, dissent = [], []
+    for name, said in by_detector.items():
+        named = [a.suspects for a in said if a.start < fault.stop and a.stop > fault.start]
+        looked = any(
+            item.tested[meanwhile][:, suspects].any()
+            for item in evidence
+            if item.detector == name
+            and (
+                meanwhile := (item.windows.start < fault.stop) & (item.windows.stop > fault.start)
+            ).any()
+        )
+        if any(them & fault.suspects for them in named):
+            agree.append(name)
+        elif looked and (
+            not named or any(_same_block(table, them, fault.suspects) for them in named)
+        ):
+            dissent.append(name)
+    return tuple(agree), tuple(dissent)
 
 
 def _same_block(table: ChannelTable, one: frozenset[int], other: frozenset[int]) -> bool:

@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 
 # No channel is trusted with more than ten times the weight of another: noise levels are estimates.
 LEAST_VARIANCE_SHARE = 0.1
+# A hypothesis that stands is still let go if another explains the same readings this many times
+# better: one wrong accusation in a hundred cases that the intervals alone would leave open.
+LEAST_ODDS = 100.0
 SECONDS_PER_HOUR = 3600.0
 
 
@@ -254,11 +257,8 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
             break
         part = moments.at(open_windows)
         hypotheses = list(combinations(range(k), size))
-        stands = np.zeros((len(open_windows), len(hypotheses)), bool)
-        low = np.full((len(open_windows), k), np.inf)
-        high = np.full((len(open_windows), k), -np.inf)
-        for number, removed in enumerate(hypotheses):
-            others = compare(
+        compared = [
+            compare(
                 part,
                 axes,
                 variance,
@@ -266,13 +266,25 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
                 config=config,
                 family_confidence=family_confidence,
             )
-            left = np.ones(k, bool)
-            left[list(removed)] = False
-            fits = ~(others.outside(healthy) & left).any(axis=1)
-            stands[:, number] = fits
+            for removed in hypotheses
+        ]
+        left = np.ones((len(hypotheses), k), bool)
+        for number, removed in enumerate(hypotheses):
+            left[number, list(removed)] = False
+        stands = np.column_stack(
+            [
+                ~(others.outside(healthy) & kept).any(axis=1)
+                for others, kept in zip(compared, left, strict=True)
+            ]
+        )
+        stands &= _likely(part, hypotheses, stands, nobody.tolerance[open_windows].mean(axis=1))
+        low = np.full((len(open_windows), k), np.inf)
+        high = np.full((len(open_windows), k), -np.inf)
+        for number, others in enumerate(compared):
+            fits = stands[:, number]
             # Without a comparison, a channel that the hypothesis calls healthy is within tolerance,
             # and one that it calls failed may be off by anything.
-            free = np.where(left, others.tolerance, np.inf)
+            free = np.where(left[number], others.tolerance, np.inf)
             lower = np.where(others.tested, others.error - others.half_width, -free)
             upper = np.where(others.tested, others.error + others.half_width, free)
             low[fits] = np.minimum(low[fits], lower[fits])
@@ -280,7 +292,7 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
         solved = stands.any(axis=1)
         rows = open_windows[solved]
         answer.low[rows], answer.high[rows] = low[solved], high[solved]
-        answer.accused[rows] = _suspects(stands[solved], hypotheses, k)
+        answer.accused[rows] = numbered_suspects(stands[solved], hypotheses, k)
         open_windows = open_windows[~solved]
     # No set that may be considered explains these: somebody failed, and all compared may have.
     answer.accused[open_windows] = answer.tested[open_windows]
@@ -288,7 +300,39 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
     return answer
 
 
-def _suspects(
+def _likely(
+    moments: Moments,
+    hypotheses: Sequence[tuple[int, ...]],
+    stands: NDArray[np.bool_],
+    tolerance: Floats,
+) -> NDArray[np.bool_]:
+    """Tell which hypotheses are not `LEAST_ODDS` times less likely than the likeliest that stands.
+
+    The parity vector of healthy channels is normal with the covariance of its mean and, since
+    healthy errors are a third of the tolerance (three sigma, [Triads]), their variance in every
+    direction: V V' = I. A failed channel adds any multiple of its column of V, which is fitted.
+    What is left is a quadratic form; with an estimated covariance its likelihood is Student's.
+    """
+    looks = moments.parity_mean
+    n, q = looks.mean.shape
+    covariance = np.where((looks.dof > 0)[:, None, None], looks.covariance, 0.0)
+    weight = np.linalg.inv(covariance + (tolerance[:, None, None] / 3.0) ** 2 * np.eye(q))
+    misfit = np.zeros((n, len(hypotheses)))
+    total = np.einsum("wi,wij,wj->w", looks.mean, weight, looks.mean)
+    for number, removed in enumerate(hypotheses):
+        columns = moments.parity[:, list(removed)]
+        onto = np.einsum("if,wij,wj->wf", columns, weight, looks.mean)
+        normal = np.einsum("if,wij,jg->wfg", columns, weight, columns)
+        fitted = np.einsum("wf,wfg,wg->w", onto, np.linalg.pinv(normal), onto)
+        misfit[:, number] = np.maximum(total - fitted, 0.0)
+    dof = np.maximum(looks.dof, 1.0)[:, None]
+    cost = (dof + q) * np.log1p(misfit / dof)
+    least = np.where(stands, cost, np.inf).min(axis=1, keepdims=True)
+    likely: NDArray[np.bool_] = cost <= least + 2.0 * np.log(LEAST_ODDS)
+    return likely
+
+
+def numbered_suspects(
     stands: NDArray[np.bool_], hypotheses: Sequence[tuple[int, ...]], k: int
 ) -> NDArray[np.int8]:
     """Give each suspect a number; members of every set that stands are sure, each by itself."""

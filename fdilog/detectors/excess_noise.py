@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
-from fdilog.student import student_quantile
 from fdilog.registry import Stage
+from fdilog.student import student_quantile
 from fdilog.windows import Survey
 
 Floats = NDArray[np.float64]

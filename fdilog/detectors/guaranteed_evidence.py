@@ -51,10 +51,13 @@ class GuaranteedDetector:
             if spare < 1 or config.detectors.max_failures < 1:
                 continue
             readings = table.rate_rad_s[:, columns]
+            bound = bounds(table, columns, config.noise.bound_deg_s)
+            if not bool(np.isfinite(bound).all()):
+                continue  # too few samples to estimate one
             least, greatest, feasible = guaranteed_intervals(
                 readings,
                 axes,
-                bounds(table, columns, config.noise.bound_deg_s),
+                bound,
                 max_failures=min(config.detectors.max_failures, spare),
             )
             # Where no subset is feasible the bound is violated: there is no interval to give.

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
-from fdilog.student import student_quantile
 from fdilog.registry import Stage
+from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
 from fdilog.windows import Survey, spans
 

@@ -26,10 +26,10 @@ from fdilog.finding import Evidence
 from fdilog.geometry import Floats, parity_matrix
 from fdilog.isolation import (
     Answer,
-    _suspects,
     comparative_evidence,
     family_wise_confidence,
     noise_shares,
+    numbered_suspects,
 )
 from fdilog.noise import windowed_mean
 from fdilog.registry import Stage
@@ -191,7 +191,7 @@ def _answer(moments: Moments, survey: Survey) -> Answer:
                 # Without a large fault the rate is right too, and the others show if they agree.
                 rest = block.ratios(left[here], others).max(axis=1)
                 explained[here] = rest <= _threshold(len(others), doubt)
-        answer.accused[left[explained]] = _suspects(stands[explained], hypotheses, k)
+        answer.accused[left[explained]] = numbered_suspects(stands[explained], hypotheses, k)
         left = left[~explained]
     answer.accused[left] = answer.tested[left]
     return answer

@@ -19,10 +19,10 @@ from fdilog.geometry import Floats, detectable, isolability_groups, parity_matri
 from fdilog.isolation import (
     Answer,
     Comparison,
-    _suspects,
     comparative_evidence,
     compare,
     family_wise_confidence,
+    numbered_suspects,
 )
 from fdilog.windows import Moments, Survey
 
@@ -159,7 +159,7 @@ def elect(moments: Moments, survey: Survey, naming: Naming, *, needs: int = 1) -
                     _accuse_all(answer, part)
                     continue
                 hypotheses = exchangeable(axes, failed)
-                answer.accused[part] = _suspects(
+                answer.accused[part] = numbered_suspects(
                     np.ones((1, len(hypotheses)), bool), hypotheses, len(axes)
                 )
                 _bound(answer, part, hypotheses, partial(against, moments.at(part)))
