@@ -178,12 +178,20 @@ def _table(name: str, ways: dict[Layout, _Growing], problems: list[Problem]) -> 
     tables = [growing.table() for growing in ways.values()]
     if len(tables) == 1:
         return tables[0]
-    fields = [f for f in tables[0].columns if all(f in other.columns for other in tables)]
+    fields = [f for f in tables[0].columns if all(_alike(f, tables[0], other) for other in tables)]
     missing = sorted({f for table in tables for f in table.columns} - set(fields))
     if missing:
-        what = f"{name} is defined in {len(ways)} ways; left out, as they are not in all: "
+        what = f"{name} is defined in {len(ways)} ways; left out, as they are not alike in all: "
         problems.append(Problem(what=what + ", ".join(missing), note=True))
     offsets = np.concatenate([table.offsets for table in tables])
     order = np.argsort(offsets)
     columns = {f: np.concatenate([table.columns[f] for table in tables])[order] for f in fields}
     return Table(offsets[order], columns)
+
+
+def _alike(f: str, one: Table, other: Table) -> bool:
+    """Tell whether a field is in both tables, as numbers or as text or as arrays in both."""
+    if f not in other.columns:
+        return False
+    a, b = one.columns[f], other.columns[f]
+    return a.ndim == b.ndim and (a.dtype.kind == "U") == (b.dtype.kind == "U")

@@ -169,15 +169,20 @@ def physical(character: str, raw: NDArray[Any]) -> NDArray[Any]:
     character
         The field character.
     raw : (n_records,) or (n_records, 32)
-        As they are in the log.
+        As they are in the log; may be used for what is returned.
     """
     divisor = FIELDS[character][1]
     if divisor is not None:
         return np.asarray(raw.astype(np.float64) / divisor)
-    if character == "g":
-        return raw.astype(np.float32)
     if raw.dtype.kind == "S":
         return texts(raw)
+    if raw.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            # Half precision would overflow in a square; a signalling NaN, which damage may leave,
+            # would make every later calculation warn.
+            raw = raw.astype(np.float32) if character == "g" else raw
+            if np.isnan(raw.min(initial=0.0)):
+                raw[np.isnan(raw)] = np.nan
     return raw.astype(raw.dtype.newbyteorder("="), copy=False)
 
 
@@ -192,3 +197,8 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
         except UnicodeDecodeError:
             decoded.append(text.decode("latin-1"))
     return np.array(decoded, np.str_)[which] if decoded else np.empty(0, "U1")
+
+
+def is_number(column: NDArray[Any] | None, kinds: str = "fiu") -> bool:
+    """Tell whether a field, whatever the log says it is, holds one number in each record."""
+    return column is not None and column.dtype.kind in kinds and column.ndim == 1

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fdilog.recording import Problem, Recording, Stream
 from fdilog_readers.columns import Offsets, choose_time, plain_text
-from fdilog_readers.dataflash_layout import FIELDS, Layout
+from fdilog_readers.dataflash_layout import FIELDS, Layout, is_number
 from fdilog_readers.dataflash_vehicle import (
     ARMED,
     DISARMED,
@@ -77,10 +77,10 @@ class Table:
             self._stamp("TimeMS", 10**6)
 
     def _stamp(self, name: str, ns: int) -> None:
-        if self.columns[name].dtype.kind not in "ui":
+        if not is_number(self.columns[name], "ui"):
             return
         self.time_ns, self.clock = self._ns(name, ns), name
-        if "SampleUS" in self.columns and self.columns["SampleUS"].dtype.kind in "ui":
+        if is_number(self.columns.get("SampleUS"), "ui"):
             sampled_ns = self._ns("SampleUS", 10**3)
             self.time_ns, self.clock = choose_time(sampled_ns, self.time_ns, "SampleUS", name)
 
@@ -179,7 +179,7 @@ def _stream(name: str, table: Table, told: Mapping[tuple[str, str], str]) -> Str
         accelerometer = _all_numeric(ACCELEROMETER_AXES, columns)
         units |= {f: unit for f, unit in SENSOR_UNITS.items() if f in columns}
     if name == "ATT":
-        for f in (angle for angle in ANGLES if _is_numeric(columns.get(angle))):
+        for f in (angle for angle in ANGLES if is_number(columns.get(angle))):
             columns[f] = np.radians(columns[f].astype(np.float64))
             units[f] = "rad"
     return Stream(
@@ -198,11 +198,7 @@ def _stream(name: str, table: Table, told: Mapping[tuple[str, str], str]) -> Str
 
 def _all_numeric(names: tuple[str, ...], columns: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
     """Return the names if all of them are columns of numbers, else none."""
-    return names if all(_is_numeric(columns.get(name)) for name in names) else ()
-
-
-def _is_numeric(column: NDArray[Any] | None) -> bool:
-    return column is not None and column.dtype.kind in "fiu" and column.ndim == 1
+    return names if all(is_number(columns.get(name)) for name in names) else ()
 
 
 def _told_units(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog_readers.columns import plain_text
+from fdilog_readers.dataflash_layout import is_number
 
 # Event numbers of EV (ArduPilot's LogEvent). Auto-armed comes after armed, when throttle is raised.
 EVENTS = ARMED, DISARMED, AUTO_ARMED = 10, 11, 15
@@ -107,6 +108,8 @@ def utc_at_zero(gps: Mapping[str, NDArray[Any]], time_ns: NDArray[np.int64]) -> 
     of_week = gps.get("GMS", gps.get("TimeMS"))
     status = gps.get("Status")
     if week is None or of_week is None or status is None:
+        return None
+    if not all(is_number(column, "iu") for column in (week, of_week, status)):
         return None
     fixed = (status >= GPS_3D_FIX) & (week > 0)
     if not fixed.any():

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Recording
 from fdilog_readers import dataflash
+from fdilog_readers.dataflash_layout import parse_fmt
 from tests.dataflash_bytes import (
     HEAD,
     LENGTHS,
@@ -201,3 +202,40 @@ def test_a_type_may_be_defined_anew_at_any_time(path: Path, forms: list[str]) ->
         data += record(131, form, 1000 * number, *range(len(form) - 1))
     stream = next(s for s in read(path, data).streams if s.name == "IMU")
     assert rows(stream) == [(10**6 * k, 0.0, 1.0, 2.0) for k in range(len(forms))]
+
+
+FORMS = st.lists(st.sampled_from("bBghHiIfdnNcCeELMqQ"), min_size=8, max_size=8)
+LONG = st.sampled_from([["a"], ["Z"], ["Q"], ["f"]])  # no record is longer than 255 bytes
+KNOWN = {
+    "IMU": "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T",
+    "GYR": "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ",
+    "GPS": "Status,TimeMS,Week,T",
+    "GPS2": "TimeUS,Status,GMS,GWk",
+    "EV": "Id,TimeMS",
+    "ARM": "TimeUS,ArmState",
+    "ATT": "TimeUS,Roll,Pitch,Yaw",
+    "PARM": "TimeUS,Name,Value",
+    "MSG": "Message",
+    "VER": "FWS",
+    "FMTU": "FmtType,UnitIds,MultIds",
+    "UNIT": "Id,Label",
+    "MULT": "Id,Mult",
+}
+
+
+@given(st.data())
+def test_known_messages_may_hold_anything(path: Path, data: st.DataObject) -> None:
+    parts = [HEAD]
+    for kind, (name, fields) in enumerate(KNOWN.items(), start=140):
+        size = fields.count(",")
+        form = "".join(data.draw(st.permutations(data.draw(FORMS)[:size] + data.draw(LONG))))
+        parts.append(fmt(kind, name.replace("GPS2", "GPS"), form, fields))
+        length = parse_fmt(parts[-1]).length
+        body = data.draw(st.binary(min_size=length - 3, max_size=length - 3))
+        parts.append(b"\xa3\x95" + bytes([kind]) + body)
+    parts.append(imu(1))
+    recording = read(path, b"".join(parts))
+    assert all(isinstance(text, str) for pair in (recording.vehicle or {}).items() for text in pair)
+    for stream in recording.streams:
+        assert all(stream.columns[f].dtype.kind in "fiu" for f in stream.gyro)
+        assert len(stream.time_ns) in (stream.count, 0)

@@ -102,6 +102,23 @@ def test_a_block_grows_for_something_longer_than_itself(tmp_path: Path) -> None:
     assert lengths == [100, 200, 400, 800, 1000]
 
 
+def test_a_medium_that_fails_ends_the_file_there_and_says_why(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(bytes(300))
+
+    class Failing:
+        def readinto(self, _view: memoryview) -> int:
+            raise OSError(5, "Input/output error")
+
+    with Blocks(path, 100) as blocks:
+        blocks.advance(0)
+        file, blocks._file = blocks._file, Failing()  # type: ignore[assignment]
+        piece = blocks.advance(60)
+        blocks._file = file
+    assert (blocks.start, len(piece), blocks.at_end, blocks.size) == (60, 40, True, 300)
+    assert blocks.failure == "input/output error"
+
+
 def test_a_file_that_cannot_be_opened_is_one_clear_line(tmp_path: Path) -> None:
     for opened in (Blocks, whole):
         with pytest.raises(UnreadableLogError, match="absent: no such file or directory"):

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem, Recording, Stream
 from fdilog_readers import dataflash
+from fdilog_readers.columns import Blocks
 from tests.dataflash_bytes import (
     HEAD,
     HEADER,
@@ -205,6 +207,14 @@ def test_columns_keep_their_own_types_and_strings_end_at_nul(path: Path) -> None
     assert columns["N"].tolist() == ["µ"]
     assert columns["A"].tolist() == [list(range(-16, 16))]
     assert columns["M"].tolist() == [-3]
+
+
+def test_a_signalling_nan_is_a_nan_like_any_other(path: Path) -> None:
+    spoiled = bytearray(imu(1))
+    spoiled[11:15] = struct.pack("<I", 0x7FA00000)
+    rate = stream(read(path, HEAD, bytes(spoiled), imu(2)), "IMU").columns["GyrX"]
+    # Were it one that signals, this would be a warning, and warnings are errors here.
+    assert np.isnan(rate.astype(np.float64)).tolist() == [True, False]
 
 
 def test_fields_of_one_name_or_none_are_all_kept_apart(path: Path) -> None:
@@ -436,7 +446,7 @@ def test_a_type_defined_in_two_ways_keeps_what_both_have(path: Path) -> None:
     again = fmt(131, "IMU", "Qfff", f"TimeUS,{GYRO}") + record(131, "Qfff", 20_000, 2.5, -2, 0.25)
     recording = read(path, HEAD, imu(1), again)
     assert samples(recording) == {sample(1), sample(2)}
-    assert "left out, as they are not in all: AccX, AccY, AccZ" in notes(recording)[0].what
+    assert "left out, as they are not alike in all: AccX, AccY, AccZ" in notes(recording)[0].what
 
 
 def test_after_a_hundred_places_only_the_sum_is_told(path: Path) -> None:
@@ -453,6 +463,27 @@ def test_a_file_without_any_format_is_one_clear_line(path: Path) -> None:
         read(path, imu(1))
     with pytest.raises(UnreadableLogError, match="no such file or directory"):
         dataflash.read(path.with_name("absent.bin"))
+
+
+def test_what_a_failing_medium_keeps_back_is_lost_and_told(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dataflash, "BLOCK_BYTES", 700)
+    original = Blocks.advance
+
+    def failing(blocks: Blocks, done: int) -> NDArray[np.uint8]:
+        piece = original(blocks, done)
+        if blocks.start:
+            blocks.at_end, blocks.failure = True, "input/output error"
+        return piece
+
+    monkeypatch.setattr(Blocks, "advance", failing)
+    recording = read(path, HEAD, *[imu(k) for k in range(1, 100)])
+    (problem,) = [p for p in recording.problems if not p.note]
+    assert problem.what == "the file could not be read beyond this byte: input/output error"
+    assert (problem.offset or 0) + (problem.bytes_lost or 0) == len(HEAD) + 99 * 35
+    assert 10 < len(samples(recording)) < 50
+    assert recording.bytes == len(HEAD) + 99 * 35
 
 
 def test_formats_alone_are_a_log_without_records(path: Path) -> None:
