@@ -122,7 +122,7 @@ class _Bag:
                 raise DamagedRecordError("it is not complete")  # noqa: TRY301
         except DamagedRecordError as error:
             what = f"the index cannot be used ({error}); every record was read instead"
-            self.problems.append(Problem(what=what, offset=position))
+            self.problems.append(Problem(what=what, offset=min(position, self.data.size)))
             return
         self.end = position
         self.places = {place.start: place for place in places}

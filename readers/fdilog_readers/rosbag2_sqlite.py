@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -45,7 +46,7 @@ def read_into(topics: Topics, path: Path) -> list[Problem]:
     problems: list[Problem] = []
     try:
         with _opened(path, problems) as connection:
-            _Messages(topics, connection, problems, path.name).take_all()
+            _Messages(topics, connection, problems, path).take_all()
     except sqlite3.Error as error:
         raise UnreadableLogError(f"{path}: no ROS 2 bag can be read from it: {error}") from error
     except OSError as error:
@@ -62,26 +63,36 @@ def _opened(path: Path, problems: list[Problem]) -> Iterator[sqlite3.Connection]
     if not head.startswith(MAGIC):
         raise UnreadableLogError(f"{path}: no SQLite file: it begins with {head[:8]!r}")
     page_bytes, pages = struct.unpack(">H10xI", head[16:32].ljust(16, b"\0"))
-    missing = pages * (page_bytes if page_bytes > 1 else 65536) - size
+    page_bytes = page_bytes if page_bytes > 1 else 65536
+    missing = pages * page_bytes - size
     if missing > 0 and head[24:28] == head[92:96]:  # else the number of pages is out of date
         problems.append(Problem(what=f"{path.name} is cut", offset=size, bytes_lost=missing))
     beside = [path.with_name(path.name + suffix) for suffix in UNFINISHED]
     beside = [other for other in beside if other.is_file() and other.stat().st_size]
-    if not beside:
+    if beside:
+        what = f"{path.name} was not closed; what was left in {beside[0].name} was read too"
+        problems.append(Problem(what=what, note=True))
+    if not beside and size % page_bytes == 0:
         # Immutable: SQLite must not even look for a journal, or make a lock.
-        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-        with closing(sqlite3.connect(uri, uri=True)) as connection:
-            # Nothing is written; but only with this does SQLite open a file that is cut.
-            connection.execute("PRAGMA writable_schema = ON")
+        with _connected(f"{path.absolute().as_uri()}?mode=ro&immutable=1") as connection:
             yield connection
         return
     with tempfile.TemporaryDirectory(prefix="fdilog-") as folder:
         for original in (path, *beside):
             shutil.copyfile(original, Path(folder) / original.name)
-        what = f"{path.name} was not closed; what was left in {beside[0].name} was read too"
-        problems.append(Problem(what=what, note=True))
-        with closing(sqlite3.connect(Path(folder) / path.name)) as connection:
+        if not beside:
+            # SQLite would fill the rest of the last page with zeros, and call them readings.
+            os.truncate(Path(folder) / path.name, size - size % page_bytes)
+        with _connected((Path(folder) / path.name).as_uri()) as connection:
             yield connection
+
+
+@contextmanager
+def _connected(uri: str) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(uri, uri=True)) as connection:
+        # Nothing is written; but only with this does SQLite open a file that is cut.
+        connection.execute("PRAGMA writable_schema = ON")
+        yield connection
 
 
 class _Messages:
@@ -90,13 +101,14 @@ class _Messages:
         topics: Topics,
         connection: sqlite3.Connection,
         problems: list[Problem],
-        name: str,
+        path: Path,
     ) -> None:
         connection.text_factory = partial(str, encoding="utf-8", errors="replace")
         self.connection = connection
         self._query = ""
         self.problems = problems
-        self.name = name
+        self.name = path.name
+        self._disordered = 0
         self._counts: Counter[int] = Counter()
         self._topic_of: dict[int, Topic] = {}
         definitions = self._definitions()
@@ -137,14 +149,16 @@ class _Messages:
             try:
                 cursor = self.connection.execute(self._query, (last,))
                 while rows := cursor.fetchmany(ROWS_AT_ONCE):
-                    self._take(rows)
-                    last = int(rows[-1][0])
+                    last = self._take(rows, last)
                 break
             except sqlite3.DatabaseError as error:
                 behind = self._step_over(self._take_one_by_one(last), error)
                 if behind is None:
                     break
                 last = behind
+        if self._disordered:
+            what = f"{self.name} is damaged: {self._disordered} rows with impossible numbers"
+            self.problems.append(Problem(what=what))
         for number, count in self._counts.items():
             if number in self._topic_of:
                 self._topic_of[number].count += count
@@ -158,8 +172,7 @@ class _Messages:
                 rows.append(row)
         except sqlite3.DatabaseError:
             pass
-        self._take(rows)
-        return int(rows[-1][0]) if rows else last
+        return self._take(rows, last) if rows else last
 
     def _step_over(self, last: int, error: sqlite3.Error) -> int | None:
         """Find the first message behind a damaged place, and say how many were lost."""
@@ -182,7 +195,7 @@ class _Messages:
             middle = (low + high) // 2
             low, high = (low, middle) if self._reads(middle) else (middle, high)
         row = self._reads(high)
-        return int(row[0]) if row else None
+        return int(row[0]) if row and int(row[0]) > last else None
 
     def _reads(self, after: int) -> Sequence[Any] | None:
         try:
@@ -193,9 +206,21 @@ class _Messages:
             return None
         return row
 
-    def _take(self, rows: list[tuple[Any, ...]]) -> None:
-        if not rows:
-            return
+    def _take(self, rows: list[tuple[Any, ...]], last: int) -> int:
+        """Take rows; return the last one's number, which never goes back.
+
+        In a damaged file a number may be anything, and rows may come again without end.
+        """
+        ids = np.array([row[0] for row in rows], np.int64)
+        if not (ids > np.concatenate([[last], ids[:-1]])).all():
+            # What is larger than something behind it is out of place, not all that is behind it.
+            later = np.where(ids > last, ids, np.iinfo(np.int64).max)
+            smallest = np.minimum.accumulate(later[::-1])[::-1]
+            good = (ids > last) & (ids < np.append(smallest[1:], np.iinfo(np.int64).max))
+            self._disordered += int(np.count_nonzero(~good))
+            rows = list(compress(rows, good.tolist()))
+            if not rows:
+                return last
         _, numbers, times, messages = zip(*rows, strict=True)
         topic_ids = np.array(numbers, np.int64)
         times_ns = np.array(times, np.int64)
@@ -206,6 +231,7 @@ class _Messages:
             if topic is not None and topic.wanted:
                 here = topic_ids == number
                 self._add(topic, list(compress(messages, here.tolist())), times_ns[here])
+        return int(rows[-1][0])
 
     def _add(self, topic: Topic, messages: list[bytes], times_ns: NDArray[np.int64]) -> None:
         lengths = np.fromiter(map(len, messages), np.int64, len(messages))
