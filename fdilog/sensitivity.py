@@ -8,8 +8,11 @@ found at one size is found at any larger one.
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -20,7 +23,7 @@ import numpy as np
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
-from fdilog.errors import UsageError, nearest
+from fdilog.errors import FdilogError, UsageError, nearest
 from fdilog.faults import Fault, FaultKind
 from fdilog.finding import Finding
 from fdilog.injection import inject
@@ -302,9 +305,13 @@ def _answers(
     with ProcessPoolExecutor(min(jobs, len(tasks)), initializer=_begin, initargs=(flight,)) as pool:
         try:
             yield from pool.map(_search_here, tasks)
-        except KeyboardInterrupt:
+        except BrokenProcessPool:
+            raise FdilogError(
+                f"{flight.recording.path}: a worker process was ended from outside, perhaps for"
+                " want of memory; try -j 1"
+            ) from None
+        finally:
             pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 _here: list[Flight] = []
@@ -312,6 +319,8 @@ _here: list[Flight] = []
 
 
 def _begin(flight: Flight) -> None:
+    # Ctrl-C reaches every process; the parent has the one line to say about it.
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
     _here[:] = [flight]
 
 
