@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem
 from fdilog_readers.columns import Blocks, Bytes, Offsets, rows
-from fdilog_readers.dataflash_framing import Losses
+from fdilog_readers.losses import Losses
 from fdilog_readers.mavlink_candidates import Candidates, Piece, candidates, whole
 from fdilog_readers.mavlink_dialect import (
     CHECKSUM_BYTES,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fdilog_readers import reported
 from fdilog_readers.mavlink_messages import LATEST_NS, SINCE_BOOT, Messages
 
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
-# A sender that does not know UTC says zero, or counts from 1970; no vehicle is older than this.
-YEAR_2000_NS = 946_684_800 * 10**9
 # FIRMWARE_VERSION_TYPE: the least number of each kind of release.
 RELEASES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
 
@@ -58,25 +56,7 @@ def armed(own: Mapping[str, Messages], reference: Messages) -> tuple[tuple[int, 
     if beats is None:
         return None
     flag = beats.columns["base_mode"] & ARMED_FLAG != 0
-    return spans(beats.time_ns, flag, int(reference.time_ns[-1]))
-
-
-def spans(
-    time_ns: NDArray[np.int64], flag: NDArray[np.bool_], last_ns: int
-) -> tuple[tuple[int, int], ...]:
-    """Make spans of a flag that is told again and again.
-
-    Parameters
-    ----------
-    time_ns, flag : (n,)
-        When each report came [ns], and what it said.
-    last_ns
-        End of a span that no report ends. [ns]
-    """
-    ends = [int(time_ns[k]) for k in np.flatnonzero(np.diff(flag, prepend=False))]
-    if len(ends) % 2:
-        ends.append(max(last_ns, ends[-1]))
-    return tuple(zip(ends[::2], ends[1::2], strict=True))
+    return reported.spans(beats.time_ns, flag, int(reference.time_ns[-1]))
 
 
 def utc_at_zero(own: Mapping[str, Messages], reference: Messages) -> int | None:
@@ -85,18 +65,11 @@ def utc_at_zero(own: Mapping[str, Messages], reference: Messages) -> int | None:
     SYSTEM_TIME is the vehicle's own word; the receive stamps add the delay of the link.
     """
     if reference.clock != SINCE_BOOT:
-        return 0 if (reference.stamp_ns > YEAR_2000_NS).all() else None
+        return 0 if (reference.stamp_ns > reported.YEAR_2000_NS).all() else None
     told = own.get("SYSTEM_TIME")
     if told is not None and told.clock == SINCE_BOOT:
         utc_us = np.minimum(told.columns["time_unix_usec"], LATEST_NS // 1000).astype(np.int64)
-        zero_ns = _middle(utc_us * 1000, told.time_ns)
+        zero_ns = reported.utc_at_zero(utc_us * 1000, told.time_ns)
         if zero_ns is not None:
             return zero_ns
-    return _middle(reference.stamp_ns, reference.time_ns)
-
-
-def _middle(utc_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> int | None:
-    """Median of UTC at zero over those stamps that can be UTC, to the nanosecond."""
-    zero_ns = (utc_ns - time_ns)[utc_ns > YEAR_2000_NS]
-    # The middle value itself: as floating point it would be off by tens of nanoseconds.
-    return int(np.sort(zero_ns)[len(zero_ns) // 2]) if len(zero_ns) else None
+    return reported.utc_at_zero(reference.stamp_ns, reference.time_ns)
