@@ -619,8 +619,12 @@ def audit(
         formats=tuple(_report_names(formats, output)),
     )
     endless = (lambda: True) if follow else None
-    with shown_progress(quiet=quiet) as progress:
-        campaign = audit_campaign(targets, output, settings, progress, follow=endless)
+    try:
+        with shown_progress(quiet=quiet) as progress:
+            campaign = audit_campaign(targets, output, settings, progress, follow=endless)
+    except KeyboardInterrupt:
+        _complain("interrupted; what was done is kept, the same command goes on from here")
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
     for line in summary_lines(campaign, output):
         typer.echo(line)
     by_state = {

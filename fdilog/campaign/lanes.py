@@ -21,7 +21,6 @@ from concurrent.futures import (
     CancelledError,
     Future,
     ProcessPoolExecutor,
-    wait,
 )
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -110,12 +109,14 @@ class WorkerLane:
 
     def _start(self) -> None:
         self._head_since: float | None = None
-        self._process: multiprocessing.process.BaseProcess | None = None
         self._executor = ProcessPoolExecutor(
             1, mp_context=_context(), initializer=_prepare, initargs=(self._memory_bytes,)
         )
+        before = multiprocessing.active_children()
         with _single_threaded():
-            self._ready = self._executor.submit(os.getpid)
+            self._ready = self._executor.submit(os.getpid)  # starts the process
+        started = [each for each in multiprocessing.active_children() if each not in before]
+        self._process = started[0] if started else None
 
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
         """Begin a task, or queue it behind the one that runs."""
@@ -146,26 +147,14 @@ class WorkerLane:
         return self._head_since
 
     def _is_ready(self) -> bool:
-        if self._process is not None:
-            return True
-        if not self._ready.done() or self._ready.exception() is not None:
-            return False
-        pid = self._ready.result()
-        for process in multiprocessing.active_children():
-            if process.pid == pid:
-                self._process = process
-                return True
-        return False
+        return self._ready.done() and self._ready.exception() is None
 
     def bury(self, future: Future[Any]) -> Burial:
         """Say that the first in the queue ended the worker, and start another."""
         if future not in self._queue:
             return Burial(innocent=[future])
         ready = self._is_ready()
-        exit_code = self._restart()
-        # One that was done before the death is taken as it is.
-        fallen = [each for each in self._queue if each.exception() is not None]
-        self._queue.clear()
+        fallen, exit_code = self._restart()
         if ready:
             return Burial(guilty=fallen[0], innocent=fallen[1:], reason=_death(exit_code))
         self._failed_starts += 1
@@ -176,21 +165,26 @@ class WorkerLane:
             )
         return Burial(innocent=fallen)
 
-    def _restart(self) -> int | None:
-        """Start another worker for one that has died; return how that one ended."""
-        self._executor.shutdown(wait=True, cancel_futures=True)
+    def end(self, future: Future[Any]) -> Burial:
+        """Kill the worker and start another; what was queued behind is done again."""
+        self._kill()
+        fallen, _ = self._restart()
+        return Burial(
+            guilty=future if future in fallen else None,  # it may just have come to its end
+            innocent=[each for each in fallen if each is not future],
+        )
+
+    def _restart(self) -> tuple[list[Future[Any]], int | None]:
+        """Start another worker for one that has died; say which tasks fell, and how it ended."""
+        self._executor.shutdown(wait=True)
+        fallen = [each for each in self._queue if each.exception() is not None]
+        self._queue.clear()
         exit_code = self._process.exitcode if self._process is not None else None
         self._start()
-        return exit_code
-
-    def end(self, future: Future[Any]) -> Burial:
-        """Kill the worker and start another; what was queued behind goes with it."""
-        self._kill()
-        wait([future])
-        return self.bury(future) if _failed(future) else Burial()
+        return fallen, exit_code
 
     def _kill(self) -> None:
-        if self._is_ready() and self._process is not None:
+        if self._process is not None:
             self._process.kill()
 
     def close(self, *, now: bool) -> None:
@@ -288,10 +282,6 @@ def _death(exit_code: int | None) -> str:
         hint = "; out of memory, or killed by hand" if name == "SIGKILL" else ""
         return f"the worker was ended by {name}{hint}"
     return f"the worker ended itself, exit code {exit_code}"
-
-
-def _failed(future: Future[Any]) -> bool:
-    return future.cancelled() or future.exception() is not None
 
 
 def met_death(future: Future[Any]) -> bool:
