@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.clocks import hole_threshold_s
 from fdilog.finding import Evidence
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
@@ -25,19 +26,22 @@ class DropoutDetector:
     stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
-        """Give one window for every silence that is longer than ``tolerance.dropout_s``."""
+        """Give one window for every silence longer than ``dropout_s`` and five of its periods."""
         table = survey.table
-        limit_s = survey.config.tolerance.dropout_s
+        shortest_s = survey.config.tolerance.dropout_s
         found: list[tuple[int, int, list[int]]] = []
         for source in dict.fromkeys(channel.source for channel in table.channels):
             columns = [k for k, c in enumerate(table.channels) if c.source == source]
             others = [k for k in range(len(table.channels)) if k not in columns]
             if others:
+                # A slow source loses a record now and then; that is no silence yet.
+                rate_hz = table.channels[columns[0]].rate_hz
+                limit_s = hole_threshold_s(1.0 / rate_hz if rate_hz else 0.0, shortest_s)
                 found += [
                     (start, stop, columns)
                     for start, stop in silences(table, columns, others, limit_s)
                 ]
-        return [_evidence(table, found, limit_s)] if found else []
+        return [_evidence(table, found, shortest_s)] if found else []
 
 
 def silences(

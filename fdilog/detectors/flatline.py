@@ -82,15 +82,16 @@ class FlatlineDetector:
         table = survey.table
         found: dict[Kind, list[tuple[int, int, int]]] = {"dead": [], "stuck": []}
         parts = stretches(table, survey.config)
+        least_motion = float(np.radians(survey.config.tolerance.bias_deg_s))
         for channel in range(len(table.channels)):
-            for start, stop, value in _impossible_runs(table, channel, parts):
+            for start, stop, value in _impossible_runs(table, channel, parts, least_motion):
                 kind: Kind = "dead" if value == 0.0 else "stuck"
                 found[kind].append((start, stop, channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
 
 
 def _impossible_runs(
-    table: ChannelTable, channel: int, parts: list[tuple[int, int]]
+    table: ChannelTable, channel: int, parts: list[tuple[int, int]], least_motion: float
 ) -> list[tuple[int, int, float]]:
     """List the runs of one channel (first sample, one past the last, value) that accuse it."""
     rows = np.flatnonzero(table.valid[:, channel])
@@ -110,32 +111,40 @@ def _impossible_runs(
     return [
         (int(rows[a]), int(rows[b - 1]) + 1, float(values[a]))
         for a, b in zip(start[long], stop[long], strict=True)
-        if _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1)
+        if _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1, least_motion)
         or (never_moved and b - a >= LONGEST_STILL and (b - a) * period_s >= LONGEST_STILL_S)
     ]
 
 
-def _others_move(table: ChannelTable, channel: int, start: int, stop: int) -> bool:
+def _others_move(
+    table: ChannelTable, channel: int, start: int, stop: int, least_motion: float
+) -> bool:
     """Whether a healthy gyro in this channel's place would have moved during the run.
 
     Any channel that senses along its axis says so; without one, all others of its own source must.
+    Motion is what is more than a few steps of this channel, and more than ``least_motion``: at
+    rest, one gyro may rest within a step while another shows its noise.
     """
     axes = table.axes
     along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
     along[channel] = False
     of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
     of_source[channel] = False
-    step = max(table.channels[channel].step_rad_s, 0.0)
+    threshold = max(MOVING_STEPS * table.channels[channel].step_rad_s, least_motion)
     moving = [
-        _range(table, other, start, stop) > MOVING_STEPS * step
+        _range(table, other, start, stop) > threshold
         for other in np.flatnonzero(along if along.any() else of_source).tolist()
     ]
     return any(moving) if along.any() else bool(moving) and all(moving)
 
 
 def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:
+    """Range of the middle nine tenths of a channel's readings. [rad/s]"""
     readings = table.rate_rad_s[start:stop, channel][table.valid[start:stop, channel]]
-    return float(np.ptp(readings)) if len(readings) else 0.0
+    if not len(readings):
+        return 0.0
+    low, high = np.quantile(readings, [0.05, 0.95])
+    return float(high - low)
 
 
 def _evidence(kind: Kind, table: ChannelTable, runs: list[tuple[int, int, int]]) -> Evidence:
