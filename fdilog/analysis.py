@@ -282,7 +282,7 @@ def judge(
 
 
 def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:
-    from fdilog.witness import hear
+    from fdilog.testimony import hear
 
     return lambda suspects, span: hear(witness, table, suspects, span, config)
 

@@ -35,6 +35,10 @@ COMPASS_DOUBT_RAD = float(np.arcsin(0.6))
 """How far a field of the vehicle's own may turn the compass during a flight. ArduPilot's compassmot
 calls an interference of 60 % of the earth's field the limit of what may fly."""
 
+ROUNDS = 4
+LEAST_VARIANCE = 1e-8
+"""A ten-thousandth of gravity, squared: no accelerometer is better."""
+
 LOST_RAD = np.radians(30.0)
 """An attitude whose vertical is this far from the accelerometers' for half of a span is lost: no
 vehicle accelerates at 0.6 g for so long."""
@@ -94,6 +98,8 @@ class Anchors:
         Mean field, turned by the attitude, over its usual size; NaN where unknown. [1]
     by_gps
         Whether ``expected`` holds accelerations.
+    healthy_rad_s
+        Standard deviation of a healthy gyro's bias. [rad/s]
     """
 
     time_s: Floats
@@ -103,31 +109,73 @@ class Anchors:
     expected: Floats
     compass: Floats
     by_gps: bool
+    healthy_rad_s: float
 
-    def drift(self, start_s: float, end_s: float, confidence: float) -> Drift | None:
-        """Fit the attitude's rate error over a span, or nothing where too little is known."""
-        inside = (self.time_s - CELL_S / 2 >= start_s) & (self.time_s + CELL_S / 2 <= end_s)
-        rows = np.flatnonzero(inside & _known(self.force))
-        if len(rows) < FEWEST_CELLS:
+    def drift(
+        self,
+        start_s: float,
+        end_s: float,
+        confidence: float,
+        path: tuple[Floats, Floats] | None = None,
+    ) -> Drift | None:
+        """Fit the attitude's rate error over a span, or nothing where too little is known.
+
+        Half of the span before it and after it are looked at too: there the error is that of a
+        healthy gyro, so that the attitude before and after is known the better.
+
+        Parameters
+        ----------
+        path
+            Times (m,) [s] and by how much more than the attitude some gyro has turned until then,
+            in the world, (m, 3) [rad]; the error is then that of the attitude that the gyro would
+            have given.
+        """
+        reach_s = (end_s - start_s) / 2
+        known = _known(self.force)
+        inside = known & self._within(start_s, end_s)
+        if inside.sum() < FEWEST_CELLS:
             return None
-        design, target, kind = self._equations(rows)
-        error, variance, dof = _fitted(design, target, kind)
-        half = np.sqrt(variance) * float(student_quantile(np.array([dof]), confidence)[0])
+        rows = np.flatnonzero(known & self._within(start_s - reach_s, end_s + reach_s))
+        more = np.zeros((len(rows), 3))
+        if path is not None:
+            columns = [np.interp(self.time_s[rows], path[0], column) for column in path[1].T]
+            more = np.column_stack(columns)
+        design, target, kind = self._equations(rows, (start_s, end_s), more)
+        solved, covariance, dof = _fitted(design, target, kind, self.healthy_rad_s)
+        quantile = float(student_quantile(np.array([dof]), confidence)[0])
+        total = np.hstack([np.eye(3), np.eye(3)])
+        error = total @ solved[:6]
+        half = np.sqrt(np.diag(total @ covariance[:6, :6] @ total.T)) * quantile
         anchors = ["gravity", *(["GPS"] if self.by_gps else [])]
         if _known(self.compass[rows]).sum() >= FEWEST_CELLS:
             anchors.append("compass")
             span_s = self.time_s[rows[-1]] - self.time_s[rows[0]] + CELL_S
             step = np.diff(self.turned[rows, 2], axis=0) / np.diff(self.time_s[rows])[:, None]
-            half = half + np.abs(step).mean(axis=0) * COMPASS_DOUBT_RAD / span_s
+            half = np.hypot(half, np.abs(step).mean(axis=0) * COMPASS_DOUBT_RAD / span_s)
         return Drift(
             error_rad_s=error,
             half_width_rad_s=half,
-            tilt_rad=float(np.median(_angle(self.force[rows], self.expected[rows]))),
+            tilt_rad=float(np.median(_angle(self.force[inside], self.expected[inside]))),
             anchors=tuple(anchors),
         )
 
-    def _equations(self, rows: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Linear equations for b, the error at the start of each segment, and the field's.
+    def _within(self, start_s: float, end_s: float) -> NDArray[np.bool_]:
+        """Tell which cells lie wholly within a span."""
+        inside = (self.time_s - CELL_S / 2 >= start_s) & (self.time_s + CELL_S / 2 <= end_s)
+        return np.asarray(inside, bool)
+
+    def _equations(
+        self, rows: NDArray[np.int64], span: tuple[float, float], more: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Write linear equations for what is not known.
+
+        That is the rate error in the span, in excess of a constant one; that constant one; the
+        attitude error at the start of each segment; and what the usual field is off by.
+
+        Parameters
+        ----------
+        more : (n, 3)
+            What is added to the attitude error d. [rad]
 
         Returns
         -------
@@ -145,57 +193,63 @@ class Anchors:
         turned = self.turned[rows] - self.turned[rows[0]]
         nothing = np.zeros((len(rows), 3, 3))
         # Attitude error d = turned b + d_start; a direction s appears as s + d x s.
-        tilt = np.concatenate([turned, start, nothing], axis=2)
+        tilt = np.concatenate([self._turned_in(span, rows), turned, start, nothing], axis=2)
         expected = self.expected[rows]
-        gravity = (-_cross(expected) @ tilt)[:, :2]
+        lever = -_cross(expected)
+        gravity = (lever @ tilt)[:, :2]
+        force = (self.force[rows] - expected + (lever @ more[:, :, None])[:, :, 0])[:, :2]
         known = _known(self.compass[rows])
         field = np.where(known[:, None], self.compass[rows], 0.0)
         usual = field[known].mean(axis=0) if known.any() else np.zeros(3)
-        compass = -_cross(np.broadcast_to(usual, field.shape)) @ tilt
+        lever = -_cross(np.broadcast_to(usual, field.shape))
+        field = field - usual + (lever @ more[:, :, None])[:, :, 0]
+        compass = lever @ tilt
         compass[:, :, -3:] = np.eye(3)
         compass[~known] = 0.0
-        target = np.concatenate(
-            [(self.force[rows] - expected)[:, :2], np.where(known[:, None], field - usual, 0.0)],
-            axis=1,
-        )
+        target = np.concatenate([force, np.where(known[:, None], field, 0.0)], axis=1)
         return np.concatenate([gravity, compass], axis=1), target, np.array([0, 0, 1, 1, 1])
+
+    def _turned_in(self, span: tuple[float, float], rows: NDArray[np.int64]) -> Floats:
+        """Integral of R_att over that part of a span which is over at each cell, (n, 3, 3). [s]"""
+        at_s = np.clip(self.time_s[rows], *span)
+        flat = self.turned.reshape(-1, 9)
+        columns = [np.interp(at_s, self.time_s, column) for column in flat.T]
+        turned = np.column_stack(columns).reshape(-1, 3, 3)
+        return np.asarray(turned - turned[0])
 
 
 def _fitted(
-    design: Floats, target: Floats, kind: NDArray[np.int64]
+    design: Floats, target: Floats, kind: NDArray[np.int64], healthy_rad_s: float
 ) -> tuple[Floats, Floats, float]:
-    """Least squares for the first three unknowns, with variances that allow for slow noise.
+    """Least squares with a prior: solution, its covariance, and the degrees of freedom.
 
-    The variance is that of the mean of each second's influence on the answer, which
-    `fdilog.noise.windowed_mean` estimates whatever the colour of the noise; the prior's share is
-    added for what the anchors do not show.
+    Each kind of equation is weighted by the long-run variance of its residuals, which allows for
+    noise of any colour: a manoeuvre that goes on counts for more, a velocity that comes back to
+    what it was for less.
     """
-    n, _, unknowns = design.shape
+    unknowns = design.shape[2]
     used = np.asarray(design.any(axis=2), bool)
     prior = np.eye(unknowns) / VAGUE**2
-    sigma = np.ones(len(kind))
-    solved = np.zeros(unknowns)
-    inverse = prior
-    residual = target
-    for _ in range(4):
-        weighted = design / sigma[:, None] ** 2
-        inverse = np.linalg.inv(np.einsum("nru,nrv->uv", weighted, design) + prior)
-        solved = inverse @ np.einsum("nru,nr->u", weighted, target)
-        residual = np.where(used, target - design @ solved, 0.0)
+    prior[3:6, 3:6] = np.eye(3) / healthy_rad_s**2
+    variance = np.ones(len(kind))
+    solved, covariance, dof = np.zeros(unknowns), np.eye(unknowns), 0.0
+    # Each equation of a kind takes its share of the unknowns from the residuals.
+    share = 1.0 - min(unknowns / max(int(used.sum()), 1), 0.5)
+    for _ in range(ROUNDS):
+        weighted = design / variance[:, None]
+        covariance = np.linalg.inv(np.einsum("nru,nrv->uv", weighted, design) + prior)
+        solved = covariance @ np.einsum("nru,nr->u", weighted, target)
+        residual = target - design @ solved
+        dof = np.inf
         for group in np.unique(kind):
-            rows = kind == group
-            count = used[:, rows].sum()
-            if count:
-                power = float((residual[:, rows] ** 2).sum())
-                sigma[rows] = max(np.sqrt(power / count), 1e-4)
-    influence = np.einsum("nru,nr->nu", design / sigma[:, None] ** 2, residual) @ inverse[:, :3]
-    looks = windowed_mean((n * influence)[None])
-    equations = int(used.sum())
-    lost = equations / max(equations - np.linalg.matrix_rank(inverse[3:, 3:]) - 3, 1)
-    variance = (
-        np.diag(looks.covariance[0]) * lost + (inverse @ prior @ inverse)[[0, 1, 2], [0, 1, 2]]
-    )
-    return solved[:3], variance, float(looks.dof[0])
+            columns = kind == group
+            rows = used[:, columns].any(axis=1)
+            if rows.any():
+                looks = windowed_mean(residual[rows][:, columns][None])
+                long_run = float(np.trace(looks.covariance[0])) * rows.sum() / columns.sum()
+                variance[columns] = max(long_run / share, LEAST_VARIANCE)
+                dof = min(dof, float(looks.dof[0]))
+    return solved, covariance, dof
 
 
 def _known(v: Floats) -> NDArray[np.bool_]:

@@ -1,0 +1,158 @@
+"""What the attitude says of the gyros under suspicion.
+
+A filter that integrates a failed gyro follows it for a while, and then agrees with the wrong one.
+So a gyro is not held against the attitude as it is, but against gravity, GPS and the compass, with
+the attitude as the thread that leads from one to the other: had the vehicle turned as this gyro
+says, where would they point? That does not depend on what the filter did with the gyro. And as a
+second lock, the attitude itself must be further from the gyro that is named than from any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.anchors import Drift
+from fdilog.attitude import interpolated, matrices
+from fdilog.config import Config
+from fdilog.noise import windowed_mean
+from fdilog.table import ChannelTable
+from fdilog.witness import Witness
+
+Floats = NDArray[np.float64]
+
+ANCHOR_CONFIDENCE = 0.99
+"""The anchors choose between the suspects of a fault that is found already, of which a flight has a
+few, not thousands; and they are not the only lock."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Testimony:
+    """What a witness says of one gyro over a span.
+
+    Parameters
+    ----------
+    error, half_width
+        Mean difference from the attitude, and the half-width of its interval. [rad/s]
+    drift
+        How wrong the attitude would be that this gyro alone would have given.
+    anchored, anchored_half_width
+        The gyro's error against the anchors. [rad/s]
+    tolerance
+        What errors are held against. [rad/s]
+    """
+
+    error: float
+    half_width: float
+    drift: Drift
+    anchored: float
+    anchored_half_width: float
+    tolerance: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether the anchors say that the gyro is off."""
+        return abs(self.anchored) - self.anchored_half_width > self.tolerance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """What a witness concludes of a fault: whom it names, if anyone, and why."""
+
+    named: int | None
+    detail: str
+
+
+def hear(
+    witness: Witness,
+    table: ChannelTable,
+    suspects: Sequence[int],
+    span: tuple[int, int],
+    config: Config,
+) -> Statement:
+    """Ask which of some gyros was off over a span of samples.
+
+    Parameters
+    ----------
+    table
+        Gyros and, among the channels, the derived ones of the attitude.
+    suspects
+        Columns of gyros.
+    """
+    heard: dict[int, Testimony] = {}
+    for channel in suspects:
+        said = testimony(witness, table, channel, span, config)
+        if said is None:
+            return Statement(named=None, detail="the attitude has no anchor over so short a time")
+        heard[channel] = said
+    if not heard:
+        return Statement(named=None, detail="")
+    failed = [channel for channel, said in heard.items() if said.failed]
+    furthest = max(heard, key=lambda channel: abs(heard[channel].error))
+    words = _words(table, heard)
+    if failed == [furthest]:
+        return Statement(named=furthest, detail=words)
+    if not failed and all(said.drift.lost for said in heard.values()):
+        words = f"the attitude is lost, and tells nothing; {words}"
+    return Statement(named=None, detail=words)
+
+
+def testimony(
+    witness: Witness, table: ChannelTable, channel: int, span: tuple[int, int], config: Config
+) -> Testimony | None:
+    """Hold one gyro against the attitude over a span, or nothing where that is not possible."""
+    start_s, end_s = float(table.time_s[span[0]]), float(table.time_s[span[1] - 1])
+    derived = [k for k, one in enumerate(table.channels) if one.derived]
+    known = np.asarray(table.valid[:, [channel, *derived]].all(axis=1), bool)
+    rows = span[0] + np.flatnonzero(known[span[0] : span[1]])
+    if len(derived) != 3 or not len(rows):
+        return None
+    axis = table.axes[channel]
+    along = table.rate_rad_s[:, derived] @ (table.axes[derived] @ axis)
+    apart = np.where(known, table.rate_rad_s[:, channel] - along, 0.0)
+    drift = witness.anchors.drift(
+        start_s, end_s, ANCHOR_CONFIDENCE, (table.time_s, _path(witness, table, apart, axis))
+    )
+    if drift is None:
+        return None
+    looks = windowed_mean(apart[rows][None, :, None])
+    bias = np.radians(config.tolerance.bias_deg_s)
+    return Testimony(
+        error=float(looks.mean[0, 0]),
+        half_width=float(looks.half_width(np.ones(1), config.windows.confidence)[0]),
+        drift=drift,
+        anchored=float(axis @ drift.error_rad_s),
+        anchored_half_width=drift.half_width(axis),
+        tolerance=float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean()))),
+    )
+
+
+def _path(witness: Witness, table: ChannelTable, apart: Floats, axis: Floats) -> Floats:
+    """By how much more than the attitude a gyro has turned, in the world, (n_samples, 3). [rad]"""
+    attitude = witness.attitude
+    turned = matrices(interpolated(attitude.time_s, attitude.quaternion, table.time_s)) @ axis
+    rate = turned * apart[:, None]
+    steps = np.diff(table.time_s)
+    # Across a hole nothing is known of either, and nothing is added.
+    steps = np.where(steps > 5 * table.period_s, 0.0, steps)[:, None]
+    path = np.zeros_like(rate)
+    np.cumsum((rate[1:] + rate[:-1]) / 2 * steps, axis=0, out=path[1:])
+    return path
+
+
+def _words(table: ChannelTable, heard: dict[int, Testimony]) -> str:
+    anchors = next(iter(heard.values())).drift.anchors
+    several = f"{', '.join(anchors[:-1])} and {anchors[-1]}" if len(anchors) > 1 else anchors[0]
+    said = [
+        f"{table.names[k]} {_size(one.anchored, one.anchored_half_width)}"
+        f" (against the attitude as it is {_size(one.error, one.half_width)})"
+        for k, one in heard.items()
+    ]
+    return f"deg/s against {several}, by way of the attitude: {'; '.join(said)}"
+
+
+def _size(error: float, half_width: float) -> str:
+    return f"{np.degrees(error):+.2f} ± {np.degrees(half_width):.2f}"
