@@ -108,7 +108,8 @@ def side_by_side(
         part = todo.pop()
         count = part.stop - part.start
         # A round number, so that records of nearly one length have rows of one width.
-        width = -(-(lead + int(lengths[part].max())) // ROW_STEP_BYTES) * ROW_STEP_BYTES
+        longest = max(1, lead + int(lengths[part].max()))
+        width = -(-longest // ROW_STEP_BYTES) * ROW_STEP_BYTES
         needed = lead * count + int(lengths[part].sum())
         if count > 1 and count * width > 2 * needed + BATCH_WASTE_BYTES:
             middle = (part.start + part.stop) // 2

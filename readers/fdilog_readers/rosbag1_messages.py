@@ -58,6 +58,8 @@ class Messages:
         if connection in self._topic_of:
             return
         fields = parse_header(content)
+        if "type" not in fields or "topic" not in {*header, *fields}:
+            raise DamagedRecordError("a connection lacks its topic or type")
         self._topic_of[connection] = open_topic(
             self.topics,
             header.get("topic", fields.get("topic", b"")).decode(errors="replace"),
@@ -189,11 +191,12 @@ class Messages:
                 return at
             if record.opcode == CONNECTION:
                 self.connect(record.header, records[record.data_at : record.end].data)
+                return record.end
         except DamagedRecordError:
             return at
         shape = self._shape_at(records, at) if record.opcode == MESSAGE else None
         if shape is None:
-            return record.end
+            return at
         if shape not in chains:
             chains[shape] = shape.chain(records)
         offsets, end = chains[shape].follow(at)

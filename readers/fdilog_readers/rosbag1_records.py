@@ -17,6 +17,16 @@ from fdilog_readers.columns import Bytes, Chain, Offsets
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 
+# What the header of each kind of record has for certain.
+FIELDS = {
+    MESSAGE: ("conn", "time"),
+    BAG: ("index_pos",),
+    INDEX: ("conn", "count"),
+    CHUNK: ("compression", "size"),
+    CHUNK_INFO: ("chunk_pos", "count"),
+    CONNECTION: ("conn",),
+}
+
 U32 = struct.Struct("<I")
 U64 = struct.Struct("<Q")
 TIME = struct.Struct("<II")
@@ -91,8 +101,10 @@ def parse_record(raw: bytes | memoryview, at: int = 0) -> Record:
         raise DamagedRecordError("the record is cut")
     header = parse_header(raw[at + U32.size : data_at - U32.size])
     opcode = header.get("op", b"")
-    if len(opcode) != 1 or not MESSAGE <= opcode[0] <= CONNECTION:
+    if len(opcode) != 1 or opcode[0] not in FIELDS:
         raise DamagedRecordError("a header tells no kind of record")
+    if any(name not in header for name in FIELDS[opcode[0]]):
+        raise DamagedRecordError("a header lacks a field of its kind of record")
     (data_length,) = U32.unpack_from(raw, data_at - U32.size)
     return Record(opcode[0], header, data_at, data_length)
 

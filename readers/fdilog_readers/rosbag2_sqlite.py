@@ -159,9 +159,11 @@ class _Messages:
         if self._disordered:
             what = f"{self.name} is damaged: {self._disordered} rows with impossible numbers"
             self.problems.append(Problem(what=what))
-        for number, count in self._counts.items():
-            if number in self._topic_of:
-                self._topic_of[number].count += count
+        for number, topic in self._topic_of.items():
+            topic.count += self._counts.pop(number, 0)
+        if strange := sum(self._counts.values()):
+            what = f"{strange} messages are of topics that are defined nowhere"
+            self.problems.append(Problem(what=what))
 
     def _take_one_by_one(self, last: int) -> int:
         """Take the messages before a damaged place; return the last one's number."""

@@ -219,6 +219,7 @@ def test_rows_of_wrong_types_do_not_stop_the_reader(bag: Path) -> None:
     recording = rosbag2.read(bag)
     assert [s.name for s in recording.streams] == ["/imu/left", "/imu/\ufffd"]
     assert sum("do not fit" in what for what in losses(recording)) >= 1
+    assert "1 messages are of topics that are defined nowhere" in losses(recording)
     assert sum(len(s.time_ns) for s in recording.streams) == len(LEFT) + len(RIGHT) - 3
 
 
