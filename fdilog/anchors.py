@@ -141,11 +141,8 @@ class Anchors:
             columns = [np.interp(self.time_s[rows], path[0], column) for column in path[1].T]
             more = np.column_stack(columns)
         design, target, kind = self._equations(rows, (start_s, end_s), more)
-        solved, covariance, dof = _fitted(design, target, kind, self.healthy_rad_s)
-        quantile = float(student_quantile(np.array([dof]), confidence)[0])
-        total = np.hstack([np.eye(3), np.eye(3)])
-        error = total @ solved[:6]
-        half = np.sqrt(np.diag(total @ covariance[:6, :6] @ total.T)) * quantile
+        error, variance, dof = _fitted(design, target, kind, self.healthy_rad_s)
+        half = np.sqrt(variance) * student_quantile(dof, confidence)
         anchors = ["gravity", *(["GPS"] if self.by_gps else [])]
         if _known(self.compass[rows]).sum() >= FEWEST_CELLS:
             anchors.append("compass")
@@ -220,36 +217,52 @@ class Anchors:
 
 def _fitted(
     design: Floats, target: Floats, kind: NDArray[np.int64], healthy_rad_s: float
-) -> tuple[Floats, Floats, float]:
-    """Least squares with a prior: solution, its covariance, and the degrees of freedom.
+) -> tuple[Floats, Floats, Floats]:
+    """Fit both rate errors by least squares with a prior, and add them up.
 
     Each kind of equation is weighted by the long-run variance of its residuals, which allows for
     noise of any colour: a manoeuvre that goes on counts for more, a velocity that comes back to
     what it was for less.
+
+    Returns
+    -------
+    error, variance : (3,)
+        Rate error about each axis and its variance. [rad/s], [rad^2/s^2]
+    dof : (3,)
+        Degrees of freedom of the variance: a kind of equation whose noise is badly known matters
+        as far as it has a part in the answer (Satterthwaite's formula).
     """
     unknowns = design.shape[2]
     used = np.asarray(design.any(axis=2), bool)
     prior = np.eye(unknowns) / VAGUE**2
     prior[3:6, 3:6] = np.eye(3) / healthy_rad_s**2
-    variance = np.ones(len(kind))
-    solved, covariance, dof = np.zeros(unknowns), np.eye(unknowns), 0.0
+    long_run = np.ones(len(kind))
+    groups = [kind == group for group in np.unique(kind) if used[:, kind == group].any()]
+    known = np.zeros(len(groups))
     # Each equation of a kind takes its share of the unknowns from the residuals.
     share = 1.0 - min(unknowns / max(int(used.sum()), 1), 0.5)
+    total = np.zeros((3, unknowns))
+    total[:, :3] = total[:, 3:6] = np.eye(3)
     for _ in range(ROUNDS):
-        weighted = design / variance[:, None]
-        covariance = np.linalg.inv(np.einsum("nru,nrv->uv", weighted, design) + prior)
+        told = [
+            np.einsum("nru,nrv->uv", design[:, g] / long_run[g, None], design[:, g]) for g in groups
+        ]
+        covariance = np.linalg.inv(np.sum(told, axis=0) + prior)
+        weighted = design / long_run[:, None]
         solved = covariance @ np.einsum("nru,nr->u", weighted, target)
         residual = target - design @ solved
-        dof = np.inf
-        for group in np.unique(kind):
-            columns = kind == group
+        of_error = total @ covariance
+        parts = np.array([np.einsum("iu,uv,iv->i", of_error, one, of_error) for one in told])
+        variance = np.einsum("iu,iu->i", of_error, total)
+        for number, columns in enumerate(groups):
             rows = used[:, columns].any(axis=1)
-            if rows.any():
-                looks = windowed_mean(residual[rows][:, columns][None])
-                long_run = float(np.trace(looks.covariance[0])) * rows.sum() / columns.sum()
-                variance[columns] = max(long_run / share, LEAST_VARIANCE)
-                dof = min(dof, float(looks.dof[0]))
-    return solved, covariance, dof
+            looks = windowed_mean(residual[rows][:, columns][None])
+            mean_square = float(np.trace(looks.covariance[0])) * rows.sum() / columns.sum()
+            long_run[columns] = max(mean_square / share, LEAST_VARIANCE)
+            known[number] = looks.dof[0]
+    with np.errstate(divide="ignore"):
+        dof = variance**2 / (parts**2 / known[:, None]).sum(axis=0)
+    return total @ solved, variance, dof
 
 
 def _known(v: Floats) -> NDArray[np.bool_]:
