@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 STRETCH_S = 1.0
 # Fewer stretches than this do not tell four unknowns from a fault.
 FEWEST_STRETCHES = 20
-# Huber's constant: 95 % efficient for normal noise, bounded influence of what is not.
-HUBER = 1.345
+# Tukey's constant: 95 % efficient for normal noise, no influence of what is far off.
+TUKEY = 4.685
 ROUNDS = 20
 
 
@@ -56,7 +56,7 @@ class Calibration:
 def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[Calibration, ...]]:
     """Take out what is in proportion to the rate, block by block, and say what it was.
 
-    The regression is Huber's, on means over one second, so that faults and manoeuvres of a part of
+    The regression is Tukey's, on means over one second, so that faults and manoeuvres of a part of
     the flight do not decide it; a normal prior of ``noise.scale_sigma`` on every coefficient keeps
     a flight with little rotation from inventing any.
     """
@@ -70,7 +70,7 @@ def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[
         if known.sum() < FEWEST_STRETCHES:
             continue
         parity = parity_matrix(table.axes[columns])
-        fitted = _huber(
+        fitted = _robust_fit(
             means[known][:, columns] @ parity.T,
             rates[known],
             config.noise.scale_sigma,
@@ -98,7 +98,7 @@ def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
     return means, rates
 
 
-def _huber(parity: Floats, rates: Floats, sigma: float) -> Floats:
+def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
     """Robust regression of parity vectors on body rates, with a prior on the slopes.
 
     Parameters
@@ -117,24 +117,21 @@ def _huber(parity: Floats, rates: Floats, sigma: float) -> Floats:
 
     References
     ----------
-    P. J. Huber, Robust Statistics, Wiley 1981, section 7.8 (iteratively reweighted least squares).
+    P. J. Huber, Robust Statistics, Wiley 1981, sections 4.8 and 7.8 (Tukey's biweight, by
+    iteratively reweighted least squares from the median on).
     """
     design = np.column_stack([np.ones(len(rates)), rates])
     found = np.zeros((parity.shape[1], 4))
     for k, target in enumerate(parity.T):
-        weight = np.ones(len(target))
         level = np.array([float(np.median(target)), 0.0, 0.0, 0.0])
-        noise = max(float(robust_sigma(target)), 1e-12)
         for _ in range(ROUNDS):
-            ridge = np.diag([0.0, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
+            residual = target - design @ level
+            noise = max(float(robust_sigma(residual)), 1e-12)
+            weight = np.maximum(1.0 - (residual / (TUKEY * noise)) ** 2, 0.0) ** 2
+            ridge = np.diag([1e-12, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
             normal = design.T @ (weight[:, None] * design) + ridge
-            solved = np.linalg.solve(normal, design.T @ (weight * target))
-            residual = np.abs(target - design @ solved)
-            noise = max(float(robust_sigma(target - design @ solved)), 1e-12)
-            weight = np.minimum(1.0, HUBER * noise / np.maximum(residual, 1e-300))
-            done = np.allclose(solved, level, rtol=1e-6, atol=1e-12)
-            level = solved
-            if done:
+            before, level = level, np.linalg.solve(normal, design.T @ (weight * target))
+            if np.allclose(before, level, rtol=1e-6, atol=1e-12):
                 break
         found[k] = level
     return found
@@ -195,7 +192,7 @@ def _described(
                 (frame[0, 1] - frame[1, 0]) / 2,
             ]
         )
-        left = not taken_out[columns].any() and bool(error_per_rate[columns].any())
+        left = bool((error_per_rate[columns] != taken_out[columns]).any())
         found.append(
             Calibration(
                 source=source,

@@ -442,19 +442,23 @@ def _shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | No
         return None
     if fault.shape.kind == "scale":
         trace = trace.averaged()
-    whole = replace(fault.shape, start=0, stop=len(trace.rows))
-    noise, dof = trace.noise_about(whole)
-    power = float((trace.form(whole) ** 2).sum())
-    if dof <= 0 or power <= 0:
+    form = trace.form(replace(fault.shape, start=0, stop=len(trace.rows)))
+    if fault.shape.kind == "drift":
+        # A free level, since the onset is not known to the sample.
+        form = form - form.mean()
+    power = float((form**2).sum())
+    if power <= 0.0:
         return None
-    quantile = float(student_quantile(np.array([dof]), config.windows.confidence)[0])
+    size = float((form * trace.residual).sum()) / power
+    left = trace.residual - size * form
+    looks = windowed_mean((left - left.mean())[None, :, None])
+    if not looks.dof[0] > 0:
+        return None
+    noise = float(looks.covariance[0, 0, 0]) * len(form)
+    quantile = float(student_quantile(looks.dof, config.windows.confidence)[0])
     factor = 1.0 if fault.shape.kind == "scale" else 0.0
-    return _interval(
-        factor + fault.shape.size,
-        quantile * float(np.sqrt(noise / power)),
-        fault.shape.kind,
-        config,
-    )
+    half_width = quantile * float(np.sqrt(noise / power))
+    return _interval(factor + size, half_width, fault.shape.kind, config)
 
 
 def _interval(estimate: float, half_width: float, kind: Kind, config: Config) -> Size:
