@@ -279,9 +279,7 @@ class _Work:
         now = True
         try:
             if settings.cluster:
-                from fdilog.campaign.cluster import ClusterLane
-
-                lanes.append(ClusterLane(settings.cluster))
+                lanes.append(_cluster(settings.cluster))
             else:
                 memory = settings.memory_bytes
                 if memory is None:
@@ -323,6 +321,16 @@ class _Work:
             write_whole(self.store.folder / name, content)
             names.append(name)
         return names
+
+
+def _cluster(address: str) -> Lane:
+    try:
+        from fdilog.campaign.cluster import ClusterLane
+    except ImportError:
+        raise UsageError(
+            "--cluster needs dask.distributed: pip install 'fdilog[cluster]'"
+        ) from None
+    return ClusterLane(address)
 
 
 def _digest(candidate: Candidate) -> str:
