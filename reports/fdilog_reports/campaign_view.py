@@ -224,7 +224,7 @@ def _cell(cell: Cell | None) -> MatrixCell | None:
     elif bad:
         mark, text = ("failed" if cell.failed else "suspect"), f"{bad} of {compared}"
     elif cell.undecided:
-        mark, text = "undecided", f"{cell.undecided}? of {compared}"
+        mark, text = "undecided", f"0 of {compared} ?"
     else:
         mark, text = "healthy", f"0 of {compared}"
     title = f"{shown(cell.vehicle)}, {shown(cell.channel)}: {', '.join(told)}"
@@ -255,13 +255,19 @@ def _table(campaign: Campaign) -> dict[str, Any]:
                 (log.start_utc or "")[:16].replace("T", " "),
                 None if log.duration_s is None else round(log.duration_s, 1),
                 len(log.findings),
-                words.accused(log) if log.verdict else words.why_not(log),
+                _about(log),
                 words.lost(log),
                 next((name for name in log.reports if name.endswith(".html")), ""),
             ]
             for log in ranked
         ],
     }
+
+
+def _about(log: LogEntry) -> str:
+    if log.verdict is None:
+        return words.why_not(log)
+    return words.accused(log) or words.open_question(log)
 
 
 def _folder(log: LogEntry) -> str:

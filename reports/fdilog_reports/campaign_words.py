@@ -44,6 +44,16 @@ def accused(log: LogEntry, most: int = 4) -> str:
     return "; ".join(_shortened(phrases, most))
 
 
+def open_question(log: LogEntry) -> str:
+    """Say why a log without a finding is not healthy; empty if it is."""
+    if log.verdict == "insufficient":
+        return "nothing to compare its gyros with"
+    undecided = [shown(name) for name, status in log.channels if status == "undecided"]
+    if log.verdict == "undecided" and undecided:
+        return f"not decided: {', '.join(_shortened(undecided, 4))}"
+    return "part of the log is lost" if log.verdict == "undecided" else ""
+
+
 def _shortened(items: list[str], most: int) -> list[str]:
     return items if len(items) <= most else [*items[:most], f"{len(items) - most} more"]
 

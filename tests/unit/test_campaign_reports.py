@@ -1,0 +1,124 @@
+"""What the reports of a campaign say, and that nothing in a log can speak in them."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from fdilog_reports import campaign_html, campaign_json, campaign_junit, campaign_markdown
+from fdilog_reports.campaign_view import campaign_view
+from tests.campaign_factory import campaign, finding, large, log, series
+
+HOSTILE = "</script><script>alert(1)</script>\"'&<img src=x onerror=alert(2)>\u202e\x00|`"
+MOST_BYTES = 5_000_000
+
+
+def rows_of(page: str) -> dict[str, list[list[object]]]:
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    found: dict[str, list[list[object]]] = json.loads(match[1])
+    return found
+
+
+def test_the_page_begins_with_the_answer_and_what_to_look_at() -> None:
+    made = campaign(
+        log("ann/1.bin", verdict="failed", start_utc="2024-05-01T10:00:00Z",
+            channels=(("imu1.y", "failed"), ("imu0.y", "healthy")),
+            findings=(finding("bias", "imu1.y"),)),
+        log("ann/2.bin", channels=(("imu1.y", "healthy"), ("imu0.y", "healthy"))),
+        log("bob/3.bin", "bob", None, error_kind="unreadable", error="the file is empty"),
+        log("bob/4.bin", "bob", "undecided", whole=False, bytes_lost=12, seconds_lost=1.5),
+    )  # fmt: skip
+    view = campaign_view(made)
+    assert view.headline == "A gyro failed in 1 of 3 analysed logs, on 1 vehicle."
+    assert view.attention[0].vehicle == "ann"
+    assert view.attention[0].text == ("imu1.y failed in 1 of 2 flights (bias); last on 2024-05-01")
+    assert view.attention[1].text == "1 log could not be analysed: 1 not readable."
+    assert view.attention[2].text.startswith("1 log is not whole: 12 bytes")
+    assert [row.vehicle for row in view.matrix] == ["ann"]
+    cells = dict(zip(view.channels, view.matrix[0].cells, strict=True))
+    assert cells["imu1.y"] is not None
+    assert (cells["imu1.y"].mark, cells["imu1.y"].text) == ("failed", "1 of 2")
+    states = [view.table["states"][row[0]][0] for row in view.table["rows"]]
+    assert states == ["failed", "not analysed", "undecided", "healthy"]
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "state"),
+    [
+        (["healthy", "healthy"], "healthy"),
+        (["healthy", "undecided"], "undecided"),
+        (["healthy", "failed", None], "failed"),
+        ([None, None], "insufficient"),
+    ],
+)
+def test_the_headline_is_the_worst_that_matters(verdicts: list[str | None], state: str) -> None:
+    assert (
+        campaign_view(campaign(*[log(f"{k}", verdict=v) for k, v in enumerate(verdicts)])).mark
+        == state
+    )
+
+
+def test_a_drifting_sensor_is_named_before_it_fails_and_a_steady_one_is_not() -> None:
+    rng = np.random.default_rng(3)
+    steady = series(0.02 * rng.normal(size=30), channel="imu0.x")
+    rising = series(0.02 * rng.normal(size=30) + 0.015 * np.arange(30.0), channel="imu2.z")
+    made = campaign(log("ann/1.bin"), all_series=(steady, rising))
+    view = campaign_view(made)
+    assert view.mark == "suspect"
+    (item,) = view.attention
+    assert item.text.startswith("bias of imu2.z: Drifts by +0.")
+    # 0.015 deg/s every third day from nothing: 1 deg/s after 200 days, in July.
+    assert "reaches 1 deg/s about 2024-07" in item.text
+    assert [panel.drifts for panel in view.trends] == [True, False]
+    assert "No drift shown" in view.trends[1].words
+
+
+def test_nothing_in_a_log_becomes_markup_or_script() -> None:
+    made = campaign(
+        log(f"a/{HOSTILE}.bin", HOSTILE, "failed", channels=((HOSTILE, "failed"),),
+            findings=(finding("bias", HOSTILE),)),
+        log("b.bin", HOSTILE, None, error_kind="unreadable", error=HOSTILE),
+        all_series=(series(np.arange(9.0), HOSTILE, HOSTILE),),
+    )  # fmt: skip
+    page = campaign_html.render(made)
+    assert "<img" not in page
+    assert page.count("<script") == 2
+    assert rows_of(page)["rows"]
+    markdown = campaign_markdown.render(made)
+    assert re.search(r"(?<!\\)<", markdown) is None
+    suite = ET.fromstring(campaign_junit.render(made))  # noqa: S314  our own text
+    assert len(list(suite.iter("testcase"))) == 2
+    assert json.loads(campaign_json.render(made))["logs"][0]["path"].startswith("a/</script>")
+
+
+def test_the_policy_of_the_page_lets_its_own_script_and_style_in_and_nothing_else() -> None:
+    page = campaign_html.render(campaign(log("a.bin")))
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
+    assert policy is not None
+    for tag in ("script", "style"):
+        inside = re.search(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        assert inside is not None
+        digest = base64.b64encode(hashlib.sha256(inside[1].encode()).digest()).decode()
+XX
+    assert "default-src 'none'" in policy[1]
+    assert not re.search(r"\s(style|on\w+)=", page)
+    assert not re.search(r'(src|href)="(?!#|audit\.|logs/)', page)
+
+
+def test_ten_thousand_logs_fit_in_five_megabytes_with_a_row_each() -> None:
+    page = campaign_html.render(large(10_000))
+    assert len(page.encode()) <= MOST_BYTES
+    assert len(rows_of(page)["rows"]) == 10_000
+
+
+def test_the_same_campaign_gives_the_same_bytes() -> None:
+    for report in (campaign_html, campaign_json, campaign_junit, campaign_markdown):
+        assert report.render(large(200)) == report.render(large(200))
