@@ -127,7 +127,9 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
         for _ in range(ROUNDS):
             residual = target - design @ level
             noise = max(float(robust_sigma(residual)), 1e-12)
-            weight = np.maximum(1.0 - (residual / (TUKEY * noise)) ** 2, 0.0) ** 2
+            # What a healthy slope could explain at that rate is no outlier.
+            spread = np.hypot(noise, sigma * np.linalg.norm(rates, axis=1))
+            weight = np.maximum(1.0 - (residual / (TUKEY * spread)) ** 2, 0.0) ** 2
             ridge = np.diag([1e-12, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
             normal = design.T @ (weight[:, None] * design) + ridge
             before, level = level, np.linalg.solve(normal, design.T @ (weight * target))
