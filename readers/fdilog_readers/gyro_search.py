@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from fdilog.recording import Origin
-from fdilog_readers.message_schema import NUMBERS, SEQUENCE, Field, Schema
+from fdilog_readers.message_schema import NUMBERS, SEQUENCE, TIME, Field, Schema
 
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 
@@ -19,6 +19,15 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
 # Whoever also knows where it is or how fast it goes is an estimator, not a gyro.
 ESTIMATOR_FIELDS = {"position", "pose", "velocity", "linearvelocity", "twist"}
+
+# Messages that say how the vehicle is turned, body to world, and nothing else by that name.
+ATTITUDES = {
+    "geometry_msgs/QuaternionStamped": ("quaternion",),
+    "nav_msgs/Odometry": ("pose", "pose", "orientation"),
+}
+
+# Types whose angular velocity is in rad/s by definition, whatever language they are written in.
+RADIAN_TYPES = {"sensor_msgs/Imu"}
 
 # What a twist is part of; its topic needs no second name.
 TWIST_MESSAGES = {
@@ -55,6 +64,8 @@ class Gyro:
     ----------
     owner
         Path of the part that holds the gyro; empty at the top.
+    attitude
+        How the vehicle is turned, as something derived it: w, x, y, z.
     stamps
         Times that may belong to it, the nearest first.
     known_unit
@@ -65,6 +76,7 @@ class Gyro:
     rate: tuple[str, ...]
     accelerometer: tuple[str, ...] = ()
     orientation: tuple[str, ...] = ()
+    attitude: tuple[str, ...] = ()
     stamps: tuple[Stamp, ...] = ()
     origin: Origin = "sensor"
     known_unit: bool = True
@@ -72,7 +84,7 @@ class Gyro:
     @property
     def values(self) -> tuple[str, ...]:
         """Every leaf that becomes a column."""
-        return (*self.rate, *self.accelerometer, *self.orientation)
+        return (*self.rate, *self.accelerometer, *self.orientation, *self.attitude)
 
     @property
     def leaves(self) -> tuple[str, ...]:
@@ -82,15 +94,37 @@ class Gyro:
 
 
 def find_gyros(schema: Schema, name: str) -> tuple[Gyro, ...]:
-    """Find every angular rate in a message of the type ``name``.
+    """Find every angular rate in a message of the type ``name``, and attitudes beside them.
 
     A gyro is a field ``angular_velocity`` of three numbers (``sensor_msgs/Imu`` has one); the
     ``angular`` part of a ``geometry_msgs/Twist`` is an angular rate that something derived.
     """
     gyros = tuple(_search(schema, name, (), (), ()))
-    if name in TWIST_MESSAGES:
+    known = ros_name(name)
+    if known in TWIST_MESSAGES:
         gyros = tuple(replace(gyro, owner="") for gyro in gyros)
-    return gyros
+    if known not in ATTITUDES:
+        return gyros
+    *path, last = ATTITUDES[known]
+    item = next((f for f in schema[_type_at(schema, name, path)] if f.name == last), None)
+    attitude = _vector(schema, item, tuple(path), WXYZ)
+    if gyros and attitude:
+        return (replace(gyros[0], attitude=attitude), *gyros[1:])
+    stamps = stamps_at(schema, name)
+    found = Gyro("", (), attitude=attitude, stamps=stamps, origin="derived")
+    return (*gyros, found) if attitude else gyros
+
+
+def _type_at(schema: Schema, name: str, path: list[str]) -> str:
+    for part in path:
+        name = next((f.type for f in schema.get(name, ()) if f.name == part), "")
+    return name if name in schema else TIME
+
+
+def ros_name(name: str) -> str:
+    """Return ``sensor_msgs/Imu`` for that type by any name: ``ros.sensor_msgs.Imu`` and others."""
+    parts = [part for part in name.replace(".", "/").split("/") if part != "msg"]
+    return "/".join(parts[-2:])
 
 
 def number_leaves(schema: Schema, name: str) -> tuple[str, ...]:
@@ -128,7 +162,7 @@ def _search(
     stamps = (*stamps_at(schema, name, path), *outer)
     fields = {_plain(item.name): item for item in schema[name]}
     own = {"angularvelocity": fields.get("angularvelocity")}
-    if name == "geometry_msgs/Twist":
+    if ros_name(name) == "geometry_msgs/Twist":
         own = {"angular": fields.get("angular")}
     for word, item in own.items():
         rate = _vector(schema, item, path, XYZ)
@@ -138,9 +172,13 @@ def _search(
                 rate,
                 _vector(schema, fields.get("linearacceleration"), path, XYZ),
                 _vector(schema, fields.get("orientation"), path, WXYZ),
-                stamps,
-                "derived" if word == "angular" or ESTIMATOR_FIELDS & set(fields) else "sensor",
-                word == "angular" or "angularvelocitycovariance" in fields,
+                stamps=stamps,
+                origin="derived"
+                if word == "angular" or ESTIMATOR_FIELDS & set(fields)
+                else "sensor",
+                known_unit=word == "angular"
+                or "angularvelocitycovariance" in fields
+                or ros_name(name) in RADIAN_TYPES,
             )
     for item in schema[name]:
         if item.type not in schema or item.length == SEQUENCE or item in own.values():

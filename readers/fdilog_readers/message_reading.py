@@ -15,8 +15,10 @@ from fdilog_readers.protobuf_layout import ProtobufLayout, protobuf_schema
 from fdilog_readers.ros_layout import RosLayout
 from fdilog_readers.topics import Reading, Topic, Topics
 
-# A twist under such a name is what was commanded, not what happened.
-COMMAND = re.compile(r"(^|[/_])cmd(_|$)|command|setpoint", re.IGNORECASE)
+# A twist or an attitude under such a name is what was commanded, not what happened.
+COMMAND = re.compile(
+    r"(^|[/_])cmd(_|$)|command|setpoint|goal|target|desired|reference", re.IGNORECASE
+)
 
 
 def open_topic(

@@ -15,6 +15,9 @@ from fdilog_readers.columns import choose_time, plain_text
 from fdilog_readers.gyro_search import Gyro, Stamp
 from fdilog_readers.message_batch import Batch, Columns, Layout
 
+# What other formats call the parts of an attitude.
+ATTITUDE_NAMES = ("qw", "qx", "qy", "qz")
+
 UNIX_2000_NS = 946_684_800_000_000_000
 
 
@@ -194,18 +197,11 @@ class Topics:
         prefix = f"{gyro.owner}." if gyro.owner else ""
         name = f"{topic.name}:{gyro.owner}" if gyro.owner else topic.name
         time_ns, clock = _time(columns, gyro.stamps)
-        empty = np.empty(0)
-        kept, units = dict(extra), {}
-        for leaves, unit in (
-            (gyro.rate, "rad/s"),
-            (gyro.accelerometer, "m/s^2"),
-            (gyro.orientation, "1"),
-        ):
-            for leaf in leaves:
-                kept[leaf.removeprefix(prefix)] = columns.get(
-                    leaf, np.full(len(time_ns), np.nan) if len(time_ns) else empty
-                )
-                units[leaf.removeprefix(prefix)] = unit
+        names = {leaf: leaf.removeprefix(prefix) for leaf in gyro.values}
+        names |= dict(zip(gyro.attitude, ATTITUDE_NAMES, strict=False))
+        units = dict.fromkeys(gyro.rate, "rad/s") | dict.fromkeys(gyro.accelerometer, "m/s^2")
+        missing = np.full(len(time_ns), np.nan)
+        kept = extra | {names[leaf]: columns.get(leaf, missing) for leaf in names}
         if not gyro.known_unit and len(time_ns):
             what = f"{name} ({topic.type}) tells no unit; rad/s and m/s^2 are assumed"
             self.problems.append(Problem(what=what, note=True))
@@ -213,10 +209,10 @@ class Topics:
             name=name,
             time_ns=time_ns,
             columns=kept,
-            units=units,
+            units={names[leaf]: units.get(leaf, "1") for leaf in names},
             clock=clock,
-            gyro=tuple(leaf.removeprefix(prefix) for leaf in gyro.rate),
-            accelerometer=tuple(leaf.removeprefix(prefix) for leaf in gyro.accelerometer),
+            gyro=tuple(names[leaf] for leaf in gyro.rate),
+            accelerometer=tuple(names[leaf] for leaf in gyro.accelerometer),
             origin=gyro.origin,
         )
 
