@@ -11,10 +11,10 @@ from typing import Any
 from fdilog.campaign.summary import NOT_ANALYSED, Campaign, Cell, LogEntry
 from fdilog_reports import campaign_words as words
 from fdilog_reports.campaign_trends import TrendPanel, trend_panels
-from fdilog_reports.words import DEG_PER_RAD, SHOWN_TEXT, several, shown
+from fdilog_reports.words import DEG_PER_RAD, SHOWN_TEXT, listed, several, shown
 
 MOST_VEHICLES = 200
-MOST_ATTENTION = 12
+MOST_OF_A_KIND = 8
 MOST_LISTED = 200
 """Rows beyond these are in audit.json and audit.sqlite; the table of logs has every log."""
 
@@ -99,7 +99,7 @@ class CampaignView:
 def campaign_view(campaign: Campaign) -> CampaignView:
     """Put a campaign into words, numbers and coordinates."""
     mark, headline = words.headline(campaign)
-    attention = _attention(campaign)
+    attention, attention_left_out = _attention(campaign)
     matrix, channels, left_out = _matrix(campaign)
     trends = trend_panels(campaign)
     failed = [log for log in campaign.logs if log.verdict == "failed"]
@@ -114,8 +114,8 @@ def campaign_view(campaign: Campaign) -> CampaignView:
             for state in STATES
         ),
         facts=_facts(campaign),
-        attention=tuple(attention[:MOST_ATTENTION]),
-        attention_left_out=_more(len(attention) - MOST_ATTENTION, "more, see below"),
+        attention=tuple(attention),
+        attention_left_out=attention_left_out,
         channels=tuple(map(shown, channels)),
         matrix=matrix,
         matrix_left_out=left_out,
@@ -153,13 +153,14 @@ def _facts(campaign: Campaign) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _attention(campaign: Campaign) -> list[Attention]:
-    found = [
+def _attention(campaign: Campaign) -> tuple[list[Attention], str]:
+    """Say what to look at: what failed, what is about to, and what nobody could look at."""
+    failing = [
         Attention(mark="failed", vehicle=vehicle, text=text, query=channel, state="failed")
         for vehicle, text, channel in words.failing(campaign)
     ]
     tolerance = campaign.config.tolerance.bias_deg_s / DEG_PER_RAD
-    found += [
+    drifting = [
         Attention(
             mark="suspect",
             vehicle=shown(series.vehicle),
@@ -168,14 +169,24 @@ def _attention(campaign: Campaign) -> list[Attention]:
         )
         for series in campaign.drifting
     ]
-    for mark, text, state in (
-        ("unread", words.not_analysed(campaign), NOT_ANALYSED),
-        ("undecided", words.not_whole(campaign), ""),
-    ):
-        if text:
-            query = "" if state else "lost"
-            found.append(Attention(mark=mark, vehicle="", text=text, state=state, query=query))
-    return found
+    rest = [
+        Attention(mark=mark, vehicle="", text=text, state=state, query=query)
+        for mark, text, state, query in (
+            ("unread", words.not_analysed(campaign), NOT_ANALYSED, ""),
+            ("undecided", words.not_whole(campaign), "", "lost"),
+        )
+        if text
+    ]
+    left_out = [
+        several(len(items) - MOST_OF_A_KIND, one, many)
+        for items, one, many in (
+            (failing, "more vehicle with a failed gyro", "more vehicles with a failed gyro"),
+            (drifting, "more series that drifts", "more series that drift"),
+        )
+        if len(items) > MOST_OF_A_KIND
+    ]
+    more = f"And {listed(left_out)}: see below." if left_out else ""
+    return [*failing[:MOST_OF_A_KIND], *drifting[:MOST_OF_A_KIND], *rest], more
 
 
 def _matrix(campaign: Campaign) -> tuple[tuple[MatrixRow, ...], list[str], str]:

@@ -107,7 +107,7 @@ def test_the_policy_of_the_page_lets_its_own_script_and_style_in_and_nothing_els
         inside = re.search(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
         assert inside is not None
         digest = base64.b64encode(hashlib.sha256(inside[1].encode()).digest()).decode()
-XX
+        assert f"{tag}-src 'sha256-{digest}'" in html.unescape(policy[1])
     assert "default-src 'none'" in policy[1]
     assert not re.search(r"\s(style|on\w+)=", page)
     assert not re.search(r'(src|href)="(?!#|audit\.|logs/)', page)
