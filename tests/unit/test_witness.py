@@ -1,0 +1,271 @@
+"""The attitude as a witness: it tells which gyro is off, is never accused, and is not trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fdilog.analysis import Analysis, analyse, analyse_recording
+from fdilog.attitude import from_euler, product
+from fdilog.config import Config
+from fdilog.faults import Fault
+from fdilog.finding import Finding
+from fdilog.flight import Flight
+from fdilog.recording import Recording, Stream
+from fdilog.simulate import simulate
+from fdilog.sources import assemble
+
+DEG = float(np.radians(1.0))
+# The other detectors corroborate, and take their time.
+CONFIG = replace(Config(), detectors=replace(Config().detectors, use=("parity",)))
+START_S, END_S = 30.0, 60.0
+
+
+@cache
+def flown(imus: int, channel: str = "", size_deg_s: float = 3.0) -> Flight:
+    faults = (
+        [Fault(kind="bias", channel=channel, start_s=START_S, end_s=END_S, size=size_deg_s * DEG)]
+        if channel
+        else []
+    )
+    return simulate(90.0, 25.0, sources=imus, faults=faults, seed=3)
+
+
+def analysed(recording: Recording) -> Analysis:
+    return analyse_recording(recording, CONFIG)
+
+
+def only(analysis: Analysis) -> Finding:
+    (finding,) = analysis.findings
+    return finding
+
+
+def with_attitude(recording: Recording, made: Callable[[Stream], Stream]) -> Recording:
+    """Return the recording with its attitude put through a function."""
+    streams = [made(s) if s.origin == "derived" else s for s in recording.streams]
+    return replace(recording, streams=tuple(streams))
+
+
+def turned_away(
+    axis: int, rate_deg_s: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> Callable[[Stream], Stream]:
+    """Make an attitude that is wrong by a rate about a body axis, as if its gyro had been."""
+
+    def make(stream: Stream) -> Stream:
+        time_s = (stream.time_ns - stream.time_ns[0]) / 1e9
+        q = from_euler(np.column_stack([stream.columns[a] for a in ("roll", "pitch", "yaw")]))
+        # exp(d) R with d' = R b, step by step, is R times the product of the small body turns.
+        step = np.gradient(time_s) * rate_deg_s(time_s) * DEG / 2
+        followed = [q[0]]
+        for k in range(1, len(q)):
+            inverse = q[k - 1] * [1, -1, -1, -1]
+            turn = product(inverse[None], q[k][None])
+            more = np.array([[np.cos(step[k]), 0.0, 0.0, 0.0]])
+            more[0, 1 + axis] = np.sin(step[k])
+            followed.append(product(product(followed[-1][None], turn), more)[0])
+        parts = dict(zip(("qw", "qx", "qy", "qz"), np.array(followed).T, strict=True))
+        return replace(stream, columns=parts, units=dict.fromkeys(parts, "1"))
+
+    return make
+
+
+def in_fault(size: float) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    return lambda time_s: np.where((time_s >= START_S) & (time_s < END_S), size, 0.0)
+
+
+@pytest.mark.parametrize("channel", ["imu0.x", "imu1.y"])
+def test_the_attitude_tells_which_of_two_imus_is_off(channel: str) -> None:
+    finding = only(analysed(flown(2, channel).recording()))
+    assert finding.suspects == (channel,)
+    assert finding.witness == "att"
+    assert finding.size is not None
+    assert finding.size.low <= 3.0 * DEG <= finding.size.high
+    assert "gravity" in finding.detail
+    assert finding.start_s == pytest.approx(START_S, abs=1.0)
+
+
+def test_without_the_attitude_both_stay_suspects() -> None:
+    finding = only(analysed(flown(2, "imu1.y").recording(attitude=False)))
+    assert finding.suspects == ("imu0.y", "imu1.y")
+    assert finding.witness is None
+
+
+def test_yaw_that_no_anchor_shows_leaves_both_suspects() -> None:
+    # The simulated log holds neither compass nor GPS, and gravity says nothing of the heading.
+    finding = only(analysed(flown(2, "imu1.z").recording()))
+    assert finding.suspects == ("imu0.z", "imu1.z")
+    assert finding.witness is None
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_filter_that_followed_the_failed_gyro_accuses_nobody_else(axis: int) -> None:
+    channel = f"imu1.{'xyz'[axis]}"
+    recording = flown(2, channel).recording()
+    followed = with_attitude(recording, turned_away(axis, in_fault(3.0)))
+    finding = only(analysed(followed))
+    assert finding.suspects in ((channel,), (f"imu0.{'xyz'[axis]}", channel))
+
+
+def test_a_filter_that_followed_and_came_back_accuses_nobody_else() -> None:
+    def rate(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        tau_s = 8.0
+        on = 3.0 * np.exp(-(time_s - START_S) / tau_s)
+        off = -3.0 * (1 - np.exp(-(END_S - START_S) / tau_s)) * np.exp(-(time_s - END_S) / tau_s)
+        return np.where(time_s < START_S, 0.0, np.where(time_s < END_S, on, off))
+
+    recording = flown(2, "imu0.x").recording()
+    finding = only(analysed(with_attitude(recording, turned_away(0, rate))))
+    assert finding.suspects == ("imu0.x",)
+    assert finding.witness == "att"
+
+
+def test_an_attitude_that_drifts_by_itself_accuses_nobody() -> None:
+    recording = flown(2).recording()
+    drifting = with_attitude(recording, turned_away(1, in_fault(3.0)))
+    assert analysed(drifting).findings == ()
+
+
+def test_one_imu_with_an_attitude_is_a_table_of_six_channels() -> None:
+    table = analysed(flown(1).recording()).table
+    assert table.names == ("imu0.x", "imu0.y", "imu0.z", "att.x", "att.y", "att.z")
+    assert [channel.derived for channel in table.channels] == [False] * 3 + [True] * 3
+
+
+@pytest.mark.parametrize("channel", ["imu0.x", "imu0.y"])
+def test_the_attitude_finds_a_bias_of_a_single_imu(channel: str) -> None:
+    analysis = analysed(flown(1, channel).recording())
+    finding = only(analysis)
+    assert finding.suspects == (channel,)
+    assert finding.witness == "att"
+    assert finding.size is not None
+    assert finding.size.low <= 3.0 * DEG <= finding.size.high
+    assert analysis.verdict == "failed"
+
+
+def test_a_single_healthy_imu_is_healthy_about_the_axes_that_gravity_shows() -> None:
+    analysis = analysed(flown(1).recording())
+    assert analysis.findings == ()
+    assert analysis.status[:2] == ("healthy", "healthy")
+    # A yaw filter that follows its only gyro would agree with it too.
+    assert analysis.status[2] == "undecided"
+    assert analysis.verdict == "undecided"
+
+
+def test_a_single_imu_that_the_filter_followed_is_not_healthy() -> None:
+    recording = flown(1, "imu0.x").recording()
+    analysis = analysed(with_attitude(recording, turned_away(0, in_fault(3.0))))
+    assert analysis.status[0] != "healthy"
+
+
+def test_a_single_imu_is_not_accused_where_the_attitude_is_the_one_that_drifts() -> None:
+    def there_and_back(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.select([time_s < 30.0, time_s < 45.0, time_s < 60.0], [0.0, 3.0, -3.0], 0.0)
+
+    analysis = analysed(with_attitude(flown(1).recording(), turned_away(0, there_and_back)))
+    assert analysis.findings == ()
+    assert analysis.status[0] == "undecided"
+
+
+@pytest.mark.parametrize("imus", [1, 2, 3])
+def test_derived_channels_are_never_accused(imus: int) -> None:
+    analysis = analysed(flown(imus, "imu0.y", 20.0).recording())
+    assert not [f for f in analysis.findings if any(s.startswith("att") for s in f.suspects)]
+    standing = dict(zip(analysis.table.names, analysis.status, strict=True))
+    assert {standing[f"att.{axis}"] for axis in "xyz"} <= {"healthy", "undecided", "insufficient"}
+    assert not any(name.startswith("att") for name in analysis.isolability.detectable)
+
+
+def test_three_imus_decide_among_themselves() -> None:
+    recording = flown(3, "imu2.x").recording()
+    misled = with_attitude(recording, turned_away(0, in_fault(3.0)))
+    for one in (recording, misled):
+        finding = only(analysed(one))
+        assert finding.suspects == ("imu2.x",)
+        assert finding.witness is None
+
+
+def test_evidence_covers_every_channel_of_the_table() -> None:
+    for imus in (1, 2):
+        analysis = analysed(flown(imus).recording())
+        width = len(analysis.table.channels)
+        assert {item.tested.shape[1] for item in analysis.evidence} == {width}
+
+
+def test_the_attitude_is_listed_as_a_witness() -> None:
+    infos = assemble(flown(2).recording(), CONFIG).sources
+    (about,) = [info for info in infos if info.name == "att"]
+    assert about.used
+    assert about.derived
+    assert about.reason.startswith("witness")
+
+
+def test_a_lost_attitude_is_not_used_and_the_source_says_so() -> None:
+    tumbling = turned_away(0, lambda time_s: np.full_like(time_s, 20.0))
+    analysis = analysed(with_attitude(flown(1).recording(), tumbling))
+    (about,) = [info for info in analysis.sources if info.name == "att"]
+    assert not about.used
+    assert "lost" in about.reason
+    assert analysis.verdict == "insufficient"
+
+
+def test_an_attitude_that_runs_late_is_put_right_and_reported() -> None:
+    def late(stream: Stream) -> Stream:
+        return replace(stream, time_ns=stream.time_ns + 80_000_000)
+
+    assembly = assemble(with_attitude(flown(1).recording(), late), CONFIG)
+    (clock,) = [clock for clock in assembly.clocks if clock.source == "att"]
+    assert clock.offset_s == pytest.approx(0.08, abs=0.01)
+    rate = assembly.table.rate_rad_s
+    known = assembly.table.valid.all(axis=1)
+    in_step = assemble(flown(1).recording(), CONFIG).table
+    both = known & in_step.valid.all(axis=1)
+    apart = (rate[both, 3] - rate[both, 0]).std()
+    assert apart < 1.2 * (in_step.rate_rad_s[both, 3] - in_step.rate_rad_s[both, 0]).std()
+
+
+def test_a_lane_switch_is_no_rate() -> None:
+    def jumping(stream: Stream) -> Stream:
+        yaw = np.array(stream.columns["yaw"])
+        yaw[len(yaw) // 2 :] += np.radians(40.0)
+        angles = {"roll": stream.columns["roll"], "pitch": stream.columns["pitch"], "yaw": yaw}
+        return replace(stream, columns=angles, units=dict.fromkeys(angles, "rad"))
+
+    analysis = analysed(with_attitude(flown(1).recording(), jumping))
+    column = analysis.table.names.index("att.z")
+    assert 0 < (~analysis.table.valid[:, column]).sum() < 25
+    assert np.nanmax(np.abs(analysis.table.rate_rad_s[:, column])) < 100 * DEG
+    assert analysis.findings == ()
+
+
+def test_attitudes_that_are_missing_are_not_valid() -> None:
+    def holed(stream: Stream) -> Stream:
+        time_s = (stream.time_ns - stream.time_ns[0]) / 1e9
+        kept = (time_s < 40.0) | (time_s > 45.0)
+        columns = {name: column[kept] for name, column in stream.columns.items()}
+        return replace(stream, time_ns=stream.time_ns[kept], columns=columns)
+
+    table = assemble(with_attitude(flown(1).recording(), holed), CONFIG).table
+    inside = (table.time_s > 40.2) & (table.time_s < 44.8)
+    assert not table.valid[inside, 3:].any()
+    assert table.valid[:, :3].all()
+
+
+def test_a_configuration_that_names_its_sources_may_leave_the_attitude_out() -> None:
+    sources = replace(CONFIG.sources, use=("imu0", "imu1"))
+    assembly = assemble(flown(2).recording(), replace(CONFIG, sources=sources))
+    assert assembly.witness is None
+    assert len(assembly.table.channels) == 6
+    named = replace(CONFIG, sources=replace(CONFIG.sources, use=("imu0", "att")))
+    assert len(assemble(flown(2).recording(), named).table.channels) == 6
+
+
+def test_the_sample_log_names_the_failed_gyro_alone(sample_logs: Path) -> None:
+    analysis = analyse(sample_logs / "two_imus_attitude.bin")
+    assert analysis.verdict == "failed"
+    assert only(analysis).suspects == ("imu1.y",)
