@@ -6,6 +6,7 @@ names, a checksum that is right.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from fdilog_readers.mavlink_dialect import (
 )
 
 # Packets whose lengths differ by less are gathered and checked together.
-LENGTH_CLASS_BYTES = 16
+LENGTH_CLASS_BYTES = 32
 
 
 class Piece(NamedTuple):
@@ -50,6 +51,11 @@ class Piece(NamedTuple):
     size: int
     last: bool
 
+    @property
+    def limit(self) -> int:
+        """Where the bytes end that packets may have."""
+        return self.size if self.last else len(self.bytes)
+
     @classmethod
     def of(cls, stretch: Bytes, start: int, *, last: bool) -> Piece:
         """Make a piece of a stretch; all but the file's last keep their end to be read ahead."""
@@ -64,84 +70,127 @@ class Piece(NamedTuple):
         return np.ndarray((len(self.bytes) - item.itemsize,), item, self.bytes, 0, (1,))
 
 
-class Candidates(NamedTuple):
-    """Where packets could be, in order: bytes of the piece, and what their headers say."""
+class Found(NamedTuple):
+    """Packets, or what could be packets, in order: bytes of the piece, and what headers say.
+
+    Parameters
+    ----------
+    start, payload, end : (n,)
+        First byte, first byte of the payload, and first byte after each.
+    length : (n,)
+        Of the payload. [byte]
+    row, sender : (n,)
+        Message, as a row of the dialect; and system times 256 plus component.
+    """
 
     start: Offsets
-    header: Offsets
-    length: Offsets
+    payload: Offsets
     end: Offsets
+    length: Offsets
     row: NDArray[np.int16]
     sender: NDArray[np.uint16]
 
-    def and_also(self, others: Candidates) -> Candidates:
+    def and_also(self, others: Found) -> Found:
         """Merge others into these, in order."""
-        columns = [np.concatenate([mine, other]) for mine, other in zip(self, others, strict=True)]
-        order = np.argsort(columns[0], kind="stable")
-        return Candidates(*(column[order] for column in columns))
-
-    def chosen(self, index: NDArray[Any]) -> Candidates:
-        """Keep some of them, by a mask or by their numbers."""
-        if index.dtype == bool and index.all():
+        if not len(others.start):
             return self
-        return Candidates(*(column[index] for column in self))
+        start = np.concatenate([self.start, others.start])
+        order = np.argsort(start, kind="stable")
+        return Found(
+            start[order],
+            np.concatenate([self.payload, others.payload])[order],
+            np.concatenate([self.end, others.end])[order],
+            np.concatenate([self.length, others.length])[order],
+            np.concatenate([self.row, others.row])[order],
+            np.concatenate([self.sender, others.sender])[order],
+        )
+
+    def chosen(self, mask: NDArray[np.bool_]) -> Found:
+        """Keep some of them."""
+        if mask.all():
+            return self
+        return Found(
+            self.start[mask],
+            self.payload[mask],
+            self.end[mask],
+            self.length[mask],
+            self.row[mask],
+            self.sender[mask],
+        )
 
 
-def candidates(piece: Piece, first: int, known: Dialect, longest: Offsets) -> Candidates:
-    """Find all that could be a known packet, beginning from byte ``first`` of the piece on.
+def find_packets(piece: Piece, first: int, known: Dialect, longest: Offsets) -> Found:
+    """Find all whole packets that begin from byte ``first`` of the piece on.
 
     Parameters
     ----------
     longest : (n_messages + 1,)
-        The longest payload that is believed, by row of the dialect. [byte]
+        The longest payload that is believed of MAVLink 2, by row of the dialect. [byte]
     """
     magic = (piece.bytes[: piece.size] - np.uint8(V2)) < V1 - V2 + 1  # either, in one comparison
     magic[:first] = False
     start = np.flatnonzero(magic)
     head = piece.items("<u8")[start]
-    two = np.flatnonzero((head & (0xFF | (0xFF & ~SIGNED) << 16)) == V2)
-    one = np.flatnonzero((head & 0xFF) == V1)
-    id_two = head[two] >> 56 | piece.items("<u2")[start[two] + 8].astype(np.uint64) << 8
-    id_one = head[one] >> 40 & 0xFF
-    row_two = known.row[np.minimum(id_two, UNKNOWN_ID).astype(np.intp)]
-    row_one = known.row[id_one.astype(np.intp)]
-    length_two, length_one = (head[two] >> 8 & 0xFF, head[one] >> 8 & 0xFF)
-    # MAVLink 1 does not shorten a payload; some senders add what only MAVLink 2 has.
-    fits_one = (length_one == known.base[row_one]) | (length_one == known.size[row_one])
-    fits_two = length_two <= longest[row_two]
-    found = _read(start[two][fits_two], head[two][fits_two], row_two[fits_two], HEADER_V2)
-    if fits_one.any():
-        version_1 = _read(start[one][fits_one], head[one][fits_one], row_one[fits_one], HEADER_V1)
-        found = found.and_also(version_1)
-    return found.chosen(found.end <= piece.size) if piece.last else found
+    two = (head & (0xFF | (0xFF & ~SIGNED) << 16)) == V2
+    one = (head & 0xFF) == V1
+    found = _version_2(piece, start[two], head[two], known, longest)
+    found = found.and_also(_version_1(piece, start[one], head[one], known))
+    return found.chosen(_apart(found.start, found.end))
 
 
-def _read(
-    start: Offsets, head: NDArray[np.uint64], row: NDArray[np.int16], header: int
-) -> Candidates:
-    """Read headers of one version; ``head`` holds the first eight bytes of each packet."""
+def _version_2(
+    piece: Piece, start: Offsets, head: NDArray[np.uint64], known: Dialect, longest: Offsets
+) -> Found:
+    """Find whole packets of MAVLink 2; ``head`` holds the first eight bytes of each candidate."""
+    ids = head >> 56 | piece.items("<u2")[start + 8].astype(np.uint64) << 8
+    row = known.row[np.minimum(ids, UNKNOWN_ID).astype(np.intp)]
     length = (head >> 8 & 0xFF).astype(np.int64)
-    end = start + (header + CHECKSUM_BYTES) + length
-    if header == HEADER_V2:
-        end += SIGNATURE_BYTES * (head >> 16 & SIGNED).astype(np.int64)
-    # System and component are bytes 5 and 6, or 3 and 4.
-    sender = (head >> (40 if header == HEADER_V2 else 24)).astype(np.uint16).byteswap()
-    return Candidates(start, np.full(len(start), header), length, end, row, sender)
+    payload = start + HEADER_V2
+    end = payload + length + CHECKSUM_BYTES
+    end += SIGNATURE_BYTES * (head >> 16 & SIGNED).astype(np.int64)
+    sender = (head >> 40).astype(np.uint16).byteswap()
+    found = Found(start, payload, end, length, row, sender)
+    found = found.chosen((length <= longest[row]) & (end <= piece.limit))
+    return found.chosen(are_whole(piece, found, known))
 
 
-def whole(piece: Piece, found: Candidates, known: Dialect) -> NDArray[np.bool_]:
+def _version_1(piece: Piece, start: Offsets, head: NDArray[np.uint64], known: Dialect) -> Found:
+    """Find whole packets of MAVLink 1; ``head`` holds the first eight bytes of each candidate."""
+    row = known.row[(head >> 40 & 0xFF).astype(np.intp)]
+    length = (head >> 8 & 0xFF).astype(np.int64)
+    # MAVLink 1 does not shorten a payload; some senders add what only MAVLink 2 has.
+    fits = (length == known.base[row]) | (length == known.size[row])
+    payload = start + HEADER_V1
+    end = payload + length + CHECKSUM_BYTES
+    sender = (head >> 24).astype(np.uint16).byteswap()
+    found = Found(start, payload, end, length, row, sender).chosen(fits & (end <= piece.limit))
+    return found.chosen(are_whole(piece, found, known))
+
+
+def are_whole(piece: Piece, found: Found, known: Dialect) -> NDArray[np.bool_]:
     """Whether each candidate ends in the checksum of its bytes."""
-    covered = found.header - 1 + found.length
+    after_magic = found.start + 1
+    covered = found.payload + found.length - after_magic
     order = np.argsort((LONGEST_PACKET - covered).astype(np.uint16), kind="stable")
-    covered = covered[order]
+    covered, after_magic, row = covered[order], after_magic[order], found.row[order]
     edges = np.flatnonzero(np.diff(covered // LENGTH_CLASS_BYTES)) + 1
+    bounds = [0, *edges.tolist(), len(order)]
     right = np.empty(len(order), bool)
-    for some, lengths in zip(np.split(order, edges), np.split(covered, edges), strict=True):
-        if not len(some):
-            continue
-        width = np.dtype((np.uint8, int(lengths[0])))
-        after_magic = found.start[some] + 1
-        gathered = rows(piece.bytes, after_magic, width)
-        logged = piece.items("<u2")[after_magic + lengths]
-        right[some] = checksums(gathered, lengths, known.extra[found.row[some]]) == logged
+    for low, high in pairwise(bounds if len(order) else []):
+        some = slice(low, high)
+        width = np.dtype((np.uint8, int(covered[low])))
+        gathered = rows(piece.bytes, after_magic[some], width)
+        logged = piece.items("<u2")[after_magic[some] + covered[some]]
+        right[order[some]] = checksums(gathered, covered[some], known.extra[row[some]]) == logged
     return right
+
+
+def _apart(start: Offsets, end: Offsets) -> NDArray[np.bool_]:
+    """Leave out what begins inside a packet before it: a packet may carry another."""
+    apart = np.ones(len(start), bool)
+    for k in np.flatnonzero(start[1:] < np.maximum.accumulate(end)[:-1]) + 1:
+        before = k - 1
+        while not apart[before]:
+            before -= 1
+        apart[k] = start[k] >= end[before]
+    return apart

@@ -15,7 +15,7 @@ from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem
 from fdilog_readers.columns import Blocks, Bytes, Offsets, rows
 from fdilog_readers.losses import Losses
-from fdilog_readers.mavlink_candidates import Candidates, Piece, candidates, whole
+from fdilog_readers.mavlink_candidates import Found, Piece, are_whole, find_packets
 from fdilog_readers.mavlink_dialect import (
     CHECKSUM_BYTES,
     HEADER_V1,
@@ -28,6 +28,8 @@ from fdilog_readers.mavlink_dialect import (
 )
 
 STAMP_BYTES = 8
+# A block and what is computed from it fit the processor's second-level cache.
+BLOCK_BYTES = 1 << 20
 NO_STAMP = -1
 # Stamps beyond 146 years overflow what nanoseconds of 64 bits and their differences can hold.
 LATEST_US = 2**62 // 1000
@@ -86,7 +88,7 @@ def read_packets(path: Path, wanted: Collection[int]) -> PacketLog:
         If there is no packet in it.
     """
     framing = _Framing(wanted)
-    with Blocks(path) as blocks:
+    with Blocks(path, BLOCK_BYTES) as blocks:
         stretch = blocks.advance(0)
         framing.take(Piece.of(stretch, 0, last=blocks.at_end))
         while not blocks.at_end:
@@ -136,9 +138,7 @@ class _Framing:
     def take(self, piece: Piece) -> None:
         """Find the packets of one piece, and account for every byte between them."""
         first = self.position - piece.start
-        found = candidates(piece, first, self.known, self.longest)
-        found = found.chosen(whole(piece, found, self.known))
-        found = found.chosen(_apart(found.start, found.end))
+        found = find_packets(piece, first, self.known, self.longest)
         gap = found.start - np.concatenate([[first], found.end])[:-1]
         if self.stamped is None and len(gap):
             self.stamped = bool((gap >= STAMP_BYTES).sum() >= (gap < STAMP_BYTES).sum())
@@ -234,9 +234,15 @@ class _Framing:
 
     def _is_whole(self, piece: Piece, start: int, header: _Header) -> bool:
         """Whether a packet of a known message, longer than that should be, has its checksum."""
-        length = int(piece.bytes[start + 1])
-        one = (start, header.header, length, header.end, header.row, header.sender)
-        return bool(whole(piece, Candidates(*(np.array([v]) for v in one)), self.known)[0])
+        one = Found(
+            start=np.array([start]),
+            payload=np.array([start + header.header]),
+            end=np.array([header.end]),
+            length=np.array([int(piece.bytes[start + 1])]),
+            row=np.array([header.row], np.int16),
+            sender=np.array([header.sender], np.uint16),
+        )
+        return bool(are_whole(piece, one, self.known)[0])
 
     def _lose(self, start: int, end: int, what: str) -> None:
         """Note bytes that hold no whole packet; neighbours of one kind are one loss."""
@@ -244,7 +250,7 @@ class _Framing:
             start = self.losses.pop()[0]
         self.losses.append((start, end, what))
 
-    def _count(self, found: Candidates) -> None:
+    def _count(self, found: Found) -> None:
         """Count packets by sender and message."""
         senders = np.flatnonzero(np.bincount(found.sender, minlength=1))
         number = np.zeros(1 << 16, np.int64)
@@ -255,7 +261,7 @@ class _Framing:
             sender, message = int(senders[cell // n_rows]), int(self.known.ids[cell % n_rows])
             self.counts[sender, message] += int(cells[cell])
 
-    def _keep(self, piece: Piece, found: Candidates, gap: Offsets) -> None:
+    def _keep(self, piece: Piece, found: Found, gap: Offsets) -> None:
         """Put the wanted packets aside."""
         for row, parts in self.parts.items():
             mine = np.flatnonzero(found.row == row)
@@ -268,9 +274,9 @@ class _Framing:
                 stamp = piece.items(">u8")[start[has] - STAMP_BYTES]
                 stamp_us[has] = np.where(stamp < LATEST_US, stamp, NO_STAMP).astype(np.int64)
             size = int(self.known.size[row])
-            payload = rows(piece.bytes, start + found.header[mine], np.dtype((np.uint8, size)))
-            # Bytes are compared as bytes: every one of the log's passes here.
-            payload *= np.arange(size, dtype=np.uint8) < length.astype(np.uint8)[:, None]
+            payload = rows(piece.bytes, found.payload[mine], np.dtype((np.uint8, size)))
+            for k in range(int(length.min()), size):
+                payload[:, k] *= length > k  # what follows is not the payload's
             parts.append(Packets(piece.start + start, found.sender[mine], stamp_us, payload))
 
     def finish(self, blocks: Blocks) -> PacketLog:
@@ -307,14 +313,3 @@ class _Framing:
             ids = ", ".join(map(str, sorted({message for _, message in self.unknown})))
             what = f"{self.unknown.total()} packets of messages that are not known (id {ids})"
             yield Problem(what=f"{what}: their checksums could not be checked", note=True)
-
-
-def _apart(start: Offsets, end: Offsets) -> NDArray[np.bool_]:
-    """Leave out what begins inside a packet before it: a packet may carry another."""
-    apart = np.ones(len(start), bool)
-    for k in np.flatnonzero(start[1:] < np.maximum.accumulate(end)[:-1]) + 1:
-        before = k - 1
-        while not apart[before]:
-            before -= 1
-        apart[k] = start[k] >= end[before]
-    return apart

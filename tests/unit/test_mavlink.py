@@ -172,7 +172,7 @@ def test_every_byte_is_a_packet_or_a_loss_wherever_the_file_is_cut_into_pieces(
     path = log(tmp_path, b"junk" + bytes(data))
     whole = mavlink.read(path)
     for size in (700, 1111, 4096):
-        blocks = lambda path, size=size: columns.Blocks(path, size)  # noqa: E731
+        blocks = lambda path, _, size=size: columns.Blocks(path, size)  # noqa: E731
         monkeypatch.setattr(mavlink_packets, "Blocks", blocks)
         pieces = mavlink.read(path)
         assert pieces.problems == whole.problems
