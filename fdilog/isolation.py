@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.finding import Evidence
 from fdilog.geometry import leave_one_out
+from fdilog.noise import WindowedMean
 from fdilog.student import student_quantile
 from fdilog.windows import Moments, Survey
 
@@ -129,9 +130,7 @@ def noise_shares(moments: Moments) -> Floats:
     design = np.array([np.outer(column, column)[upper] for column in projector.T]).T
     if q == 1 or not bool(known.any()) or np.linalg.matrix_rank(design) < k:
         return np.ones(k)
-    # In the space of the channels the median does not depend on the basis of the parity space.
-    covariance = parity.T @ moments.parity_mean.covariance[known] @ parity
-    target = np.median(covariance, axis=0)[upper]
+    target = (parity.T @ moments.typical @ parity)[upper]
     scale = float(np.abs(target).max())
     if scale == 0.0:
         return np.ones(k)
@@ -210,13 +209,12 @@ def compare(
     error = looks.mean @ of_parity.T
     known = looks.dof > 0
     covariance = np.where(known[:, None, None], looks.covariance, 0.0)
-    variance_of_error = np.einsum("iq,wqr,ir->wi", of_parity, covariance, of_parity)
-    sigma_of_error = np.sqrt(np.maximum(variance_of_error, 0.0))
-    half_width, doubt = (
-        np.where(known, student_quantile(looks.dof, confidence), np.inf)[:, None]
-        * np.where(known[:, None], sigma_of_error, 1.0)
-        for confidence in (config.windows.confidence, family_confidence)
-    )
+    own = np.einsum("iq,wqr,ir->wi", of_parity, covariance, of_parity)
+    # A thousand short windows hold some that look quiet by chance: what decides against all of them
+    # together is no surer than the middlemost.
+    usual = np.einsum("iq,qr,ir->i", of_parity, moments.typical, of_parity)
+    half_width = _half_width(looks, own, config.windows.confidence)
+    doubt = _half_width(looks, np.maximum(own, usual), family_confidence)
     predicted = moments.mean - error
     tolerance = np.sqrt(
         np.radians(config.tolerance.bias_deg_s) ** 2
@@ -226,6 +224,14 @@ def compare(
     return Comparison(
         tested=tested, error=error, half_width=half_width, doubt=doubt, tolerance=tolerance
     )
+
+
+def _half_width(looks: WindowedMean, variance: Floats, confidence: float) -> Floats:
+    """Half-width of the Student intervals of combinations of variance (n, k); inf if unknown."""
+    known = (looks.dof > 0)[:, None]
+    quantile = student_quantile(looks.dof, confidence)[:, None]
+    sigma = np.sqrt(np.maximum(variance, 0.0))
+    return np.where(known, np.where(known, quantile, 0.0) * sigma, np.inf)
 
 
 def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> Answer:

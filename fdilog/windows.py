@@ -95,6 +95,9 @@ class Moments:
         Parity matrix V of these channels. [1]
     parity_mean
         Mean parity vector p, (n, q), with its covariance and degrees of freedom. [rad/s]
+    typical : (q, q)
+        Covariance of the mean parity vector in the middlemost of all windows of this length.
+        [rad^2/s^2]
     """
 
     windows: NDArray[np.int64]
@@ -103,6 +106,7 @@ class Moments:
     slope: Floats
     parity: Floats
     parity_mean: WindowedMean
+    typical: Floats
 
     def at(self, rows: NDArray[np.int64]) -> Moments:
         """Return the moments of some of these windows."""
@@ -188,11 +192,26 @@ class Survey:
             view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
             elapsed = np.maximum(time_s[last] - time_s[first], self.table.period_s)[:, None]
             rise = readings[last] - readings[first]
+            looks = windowed_mean(view[first].transpose(0, 2, 1))
             yield Moments(
                 windows=here[of_size],
                 channels=channels,
                 mean=(sums[last + 1] - sums[first]) / size,
                 slope=np.divide(rise, elapsed, out=np.zeros_like(rise), where=elapsed > 0),
                 parity=parity,
-                parity_mean=windowed_mean(view[first].transpose(0, 2, 1)),
+                parity_mean=looks,
+                typical=_middlemost(looks, parity),
             )
+
+
+def _middlemost(looks: WindowedMean, parity: Floats) -> Floats:
+    """Median of the covariances of windows, taken in the space of the channels.
+
+    There it does not depend on the basis of the parity space.
+    """
+    known = looks.dof > 0
+    if not bool(known.any()):
+        return np.zeros((len(parity), len(parity)))
+    median = np.median(parity.T @ looks.covariance[known] @ parity, axis=0)
+    typical: Floats = parity @ median @ parity.T
+    return typical
