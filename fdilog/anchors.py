@@ -27,6 +27,10 @@ CELL_S = 1.0
 FEWEST_CELLS = 8
 """Two constants and a slope for each axis need some more points than that to show their noise."""
 
+FEWEST_IN_SEGMENT = 4
+MOST_SEGMENTS = 50
+"""Each segment has three constants of its own; an attitude with more pauses is no thread."""
+
 VAGUE = 1.0
 """Prior standard deviation of a rate error [rad/s] and of an attitude error [rad]: knows nothing.
 It makes an axis that no anchor shows a very wide interval instead of a division by zero."""
@@ -135,7 +139,9 @@ class Anchors:
         inside = known & self._within(start_s, end_s)
         if inside.sum() < FEWEST_CELLS:
             return None
-        rows = np.flatnonzero(known & self._within(start_s - reach_s, end_s + reach_s))
+        rows = self._told(known & self._within(start_s - reach_s, end_s + reach_s))
+        if not len(rows):
+            return None
         more = np.zeros((len(rows), 3))
         if path is not None:
             columns = [np.interp(self.time_s[rows], path[0], column) for column in path[1].T]
@@ -155,6 +161,17 @@ class Anchors:
             tilt_rad=float(np.median(_angle(self.force[inside], self.expected[inside]))),
             anchors=tuple(anchors),
         )
+
+    def _told(self, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Choose the cells of the longest segments; a few cells do not tell their own constants."""
+        rows = np.flatnonzero(usable)
+        segments, number, count = np.unique(
+            self.segment[rows], return_inverse=True, return_counts=True
+        )
+        longest = np.argsort(-count, kind="stable")[:MOST_SEGMENTS]
+        kept = np.zeros(len(segments), bool)
+        kept[longest] = count[longest] >= FEWEST_IN_SEGMENT
+        return np.asarray(rows[kept[number]])
 
     def _within(self, start_s: float, end_s: float) -> NDArray[np.bool_]:
         """Tell which cells lie wholly within a span."""

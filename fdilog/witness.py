@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.anchoring import Attitude, anchored
-from fdilog.anchors import Anchors
+from fdilog.anchors import CELL_S, Anchors
 from fdilog.attitude import logged_attitude, mean_rates, rotation_vectors
 from fdilog.clocks import HOLE_PERIODS, clean_stamps
 from fdilog.config import Config
@@ -26,6 +26,17 @@ SOURCE = "att"
 FEWEST_ATTITUDES = 50
 SLOWEST_HZ = 2.0
 """Between slower attitudes a vehicle turns back and forth, which no rotation vector shows."""
+
+LEAST_TILT = 1e-9
+"""What rounding makes of the cosine of a tilt that is none."""
+
+LEAST_MOTION_RAD_S = np.radians(10.0)
+"""Twice what aliased vibration leaves in the means of recorded flights."""
+
+FEWEST_LIVELY = 10
+FOLLOWED = 0.5
+"""A witness explains at least half of the motion of some gyros, second by second, where there is
+any to speak of: else it is that of another body, or lost."""
 
 JUMP_RAD = np.radians(5.0)
 """A step that turns so much further than any gyro says is a jump: a lane switch, a reset of yaw."""
@@ -81,7 +92,9 @@ def _is_attitude(stream: Stream) -> bool:
     if q is None:
         return False
     known = q[np.isfinite(q).all(axis=1)]
-    return len(known) >= FEWEST_ATTITUDES and bool((known != known[0]).any())
+    # The odometry of wheels holds a heading and calls the ground level: no attitude.
+    vertical = 1.0 - 2.0 * (known[:, 1] ** 2 + known[:, 2] ** 2)
+    return len(known) >= FEWEST_ATTITUDES and bool(np.ptp(vertical) > LEAST_TILT)
 
 
 def find_witness(
@@ -110,6 +123,8 @@ def find_witness(
     attitude = _without_jumps(attitude, table)
     turn = rotation_vectors(attitude.quaternion)
     rate, valid = mean_rates(attitude.time_s, turn, attitude.sound, table.time_s)
+    if _contradicts(table, rate):
+        return "it contradicts every gyro: turned otherwise than they are, or lost"
     anchors = anchored(recording, attitude, zero_ns, config)
     if anchors is None:
         return "no accelerometer to hold it against"
@@ -127,6 +142,26 @@ def find_witness(
     return with_attitude, Witness(
         stream=stream.name, attitude=attitude, anchors=anchors, clock=clock
     )
+
+
+def _contradicts(table: ChannelTable, rate: Floats) -> bool:
+    """Tell whether an attitude explains the motion of no triad of gyros at all."""
+    shares = []
+    for rows, gyro in _triads(table):
+        second = np.floor(table.time_s[rows] / CELL_S).astype(np.int64)
+        start = np.flatnonzero(np.concatenate([[True], np.diff(second) > 0]))
+        count = np.diff(np.append(start, len(rows)))[:, None]
+        means = np.add.reduceat(np.hstack([gyro, rate[rows]]), start, axis=0) / count
+        means = means[np.isfinite(means).all(axis=1)]
+        if not len(means):
+            continue
+        means -= np.median(means, axis=0)
+        moving = np.linalg.norm(means[:, :3], axis=1)
+        apart = np.linalg.norm(means[:, 3:] - means[:, :3], axis=1)
+        lively = moving > LEAST_MOTION_RAD_S
+        if lively.sum() >= FEWEST_LIVELY:
+            shares.append(float(np.median(apart[lively] / moving[lively])))
+    return bool(shares) and min(shares) > FOLLOWED
 
 
 def _channels(attitude: Attitude) -> tuple[Channel, ...]:
@@ -160,8 +195,8 @@ def _placed(stream: Stream, zero_ns: int) -> Attitude | None:
     return Attitude(time_s=time_s, quaternion=q[known], sound=sound)
 
 
-def _triads(table: ChannelTable) -> list[tuple[Floats, Floats]]:
-    """Return times (n,) and body rates (n, 3) of every source that senses all three axes."""
+def _triads(table: ChannelTable) -> list[tuple[NDArray[np.intp], Floats]]:
+    """Return rows (n,) and body rates (n, 3) of every source that senses all three axes."""
     found = []
     for source in dict.fromkeys(channel.source for channel in table.channels):
         columns = [k for k, channel in enumerate(table.channels) if channel.source == source]
@@ -171,7 +206,7 @@ def _triads(table: ChannelTable) -> list[tuple[Floats, Floats]]:
         rows = np.flatnonzero(table.valid[:, columns].all(axis=1))
         if len(rows) > 2:
             rate = table.rate_rad_s[rows][:, columns] @ np.linalg.pinv(axes).T
-            found.append((table.time_s[rows], rate))
+            found.append((rows, rate))
     return found
 
 
@@ -183,10 +218,10 @@ def _aligned(
     steps = np.diff(attitude.time_s)
     middle = attitude.time_s[:-1] + steps / 2
     rate = turn / steps[:, None]
-    for reference in _triads(table):
+    for rows, gyro in _triads(table):
         clock = estimate_offset(
             SOURCE,
-            reference,
+            (table.time_s[rows], gyro),
             (middle[attitude.sound], rate[attitude.sound]),
             config.windows.confidence,
         )
@@ -201,7 +236,8 @@ def _without_jumps(attitude: Attitude, table: ChannelTable) -> Attitude:
     """Mark steps in which the attitude jumps away from what every gyro says."""
     turn = rotation_vectors(attitude.quaternion)
     apart = np.full(len(turn), np.inf)
-    for time_s, rate in _triads(table):
+    for rows, rate in _triads(table):
+        time_s = table.time_s[rows]
         steps = np.diff(time_s)
         path = np.zeros((len(time_s), 3))
         np.cumsum((rate[1:] + rate[:-1]) / 2 * steps[:, None], axis=0, out=path[1:])

@@ -269,3 +269,27 @@ def test_the_sample_log_names_the_failed_gyro_alone(sample_logs: Path) -> None:
     analysis = analyse(sample_logs / "two_imus_attitude.bin")
     assert analysis.verdict == "failed"
     assert only(analysis).suspects == ("imu1.y",)
+
+
+def test_a_heading_of_wheels_is_no_attitude() -> None:
+    def planar(stream: Stream) -> Stream:
+        level = np.zeros(len(stream.time_ns))
+        angles = {"roll": level, "pitch": level, "yaw": stream.columns["yaw"]}
+        return replace(stream, columns=angles, units=dict.fromkeys(angles, "rad"))
+
+    assembly = assemble(with_attitude(flown(1).recording(), planar), CONFIG)
+    assert assembly.witness is None
+    assert len(assembly.table.channels) == 3
+
+
+def test_the_attitude_of_another_body_is_not_used() -> None:
+    def swapped(stream: Stream) -> Stream:
+        q = np.column_stack([stream.columns[f"q{part}"] for part in "wxyz"])
+        # Mounted a quarter of a turn about z away from the gyros.
+        other = product(q, np.tile([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (len(q), 1)))
+        return replace(stream, columns=dict(zip(("qw", "qx", "qy", "qz"), other.T, strict=True)))
+
+    infos = assemble(with_attitude(flown(1).recording(), swapped), CONFIG).sources
+    (about,) = [info for info in infos if info.name == "att"]
+    assert not about.used
+    assert "contradicts" in about.reason
