@@ -184,7 +184,7 @@ class Anchors:
         """Write linear equations for what is not known.
 
         That is the rate error in the span, in excess of a constant one; that constant one; the
-        attitude error at the start of each segment; and what the usual field is off by.
+        attitude error at the start of each segment; and what the usual heading is off by.
 
         Parameters
         ----------
@@ -193,11 +193,11 @@ class Anchors:
 
         Returns
         -------
-        design : (n, 5, n_unknowns)
-            Five equations a cell: the two horizontal components of the force, the three of the
-            compass; zeros where there is none.
-        target : (n, 5)
-        kind : (5,)
+        design : (n, 3, n_unknowns)
+            Three equations a cell: the two horizontal components of the force, and the heading of
+            the compass; zeros where there is none.
+        target : (n, 3)
+        kind : (3,)
             Which equations have one and the same noise.
         """
         segments, number = np.unique(self.segment[rows], return_inverse=True)
@@ -205,23 +205,28 @@ class Anchors:
         for axis in range(3):
             start[np.arange(len(rows)), axis, 3 * number + axis] = 1.0
         turned = self.turned[rows] - self.turned[rows[0]]
-        nothing = np.zeros((len(rows), 3, 3))
         # Attitude error d = turned b + d_start; a direction s appears as s + d x s.
-        tilt = np.concatenate([self._turned_in(span, rows), turned, start, nothing], axis=2)
+        tilt = np.concatenate(
+            [self._turned_in(span, rows), turned, start, np.zeros((len(rows), 3, 1))], axis=2
+        )
         expected = self.expected[rows]
         lever = -_cross(expected)
         gravity = (lever @ tilt)[:, :2]
-        force = (self.force[rows] - expected + (lever @ more[:, :, None])[:, :, 0])[:, :2]
+        force = self.force[rows] - expected + (lever @ more[:, :, None])[:, :, 0]
         known = _known(self.compass[rows])
         field = np.where(known[:, None], self.compass[rows], 0.0)
         usual = field[known].mean(axis=0) if known.any() else np.zeros(3)
-        lever = -_cross(np.broadcast_to(usual, field.shape))
-        field = field - usual + (lever @ more[:, :, None])[:, :, 0]
-        compass = lever @ tilt
-        compass[:, :, -3:] = np.eye(3)
-        compass[~known] = 0.0
-        target = np.concatenate([force, np.where(known[:, None], field, 0.0)], axis=1)
-        return np.concatenate([gravity, compass], axis=1), target, np.array([0, 0, 1, 1, 1])
+        # Of the compass only the heading is believed: currents of the motors change its vertical
+        # part with the throttle, and gravity is there to tell the tilt.
+        across = np.array([-usual[1], usual[0], 0.0])
+        across /= max(float(across @ across), LEAST_VARIANCE)
+        lever = across @ -_cross(np.broadcast_to(usual, field.shape))
+        heading = (lever[:, None, :] @ tilt)[:, 0]
+        heading[:, -1] = 1.0
+        turn = (field - usual) @ across + (lever * more).sum(axis=1)
+        design = np.concatenate([gravity, np.where(known[:, None], heading, 0.0)[:, None]], axis=1)
+        target = np.column_stack([force[:, :2], np.where(known, turn, 0.0)])
+        return design, target, np.array([0, 0, 1])
 
     def _turned_in(self, span: tuple[float, float], rows: NDArray[np.int64]) -> Floats:
         """Integral of R_att over that part of a span which is over at each cell, (n, 3, 3). [s]"""
