@@ -22,8 +22,11 @@ from fdilog.witness import Witness, attitude_stream, find_witness
 RAD_S = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3}
 AXIS_NAMES = "xyz"
 MOST_LISTED = 20
-# Two sources this often equal to the last bit are one sensor: noise of two never agrees.
-SAME_SENSOR = 0.99
+# Two gyros differ by biases and noise of several quantisation steps: while they move, all axes of
+# two sensors are equal to the last bit by chance alone, once in hundreds of records. Those of one
+# sensor in two messages are equal unless the messages were filled a loop apart.
+SAME_SENSOR = 0.25
+MOVING_STEPS = 5.0
 FEWEST_TO_COMPARE = 10
 # Offsets below this part of a sampling period stay in; see `_aligned`.
 LEAST_SHIFT = 0.25
@@ -355,14 +358,20 @@ def _without_duplicates(
 def _identical(one: Gyro, other: Gyro) -> bool:
     if one.rate_rad_s.shape[1] != other.rate_rad_s.shape[1]:
         return False
+    from fdilog.noise import quantisation_step
+
+    steps = np.array([quantisation_step(column) for column in other.rate_rad_s.T])
+    changes = np.abs(np.diff(other.rate_rad_s, axis=0, prepend=other.rate_rad_s[:1]))
+    moving = (changes > MOVING_STEPS * steps).any(axis=1) & np.isfinite(changes).all(axis=1)
+    if moving.sum() < FEWEST_TO_COMPARE:
+        return False
     # The two are stamped apart by a message or two; equal neighbours are looked for on both sides.
     after = np.searchsorted(one.time_ns, other.time_ns)
     equal = np.zeros(len(other.time_ns), bool)
     for step in (-2, -1, 0, 1):
         index = np.clip(after + step, 0, len(one.time_ns) - 1)
         equal |= (one.rate_rad_s[index] == other.rate_rad_s).all(axis=1)
-    changing = np.unique(other.rate_rad_s, axis=0)
-    return len(changing) >= FEWEST_TO_COMPARE and float(equal.mean()) >= SAME_SENSOR
+    return float(equal[moving].mean()) >= SAME_SENSOR
 
 
 def _aligned(
