@@ -151,7 +151,7 @@ def _version_2(
     sender = (head >> 40).astype(np.uint16).byteswap()
     found = Found(start, payload, end, length, row, sender)
     found = found.chosen((length <= longest[row]) & (end <= piece.limit))
-    return found.chosen(are_whole(piece, found, known))
+    return found.chosen(_are_whole(piece, found, known))
 
 
 def _version_1(piece: Piece, start: Offsets, head: NDArray[np.uint64], known: Dialect) -> Found:
@@ -164,10 +164,10 @@ def _version_1(piece: Piece, start: Offsets, head: NDArray[np.uint64], known: Di
     end = payload + length + CHECKSUM_BYTES
     sender = (head >> 24).astype(np.uint16).byteswap()
     found = Found(start, payload, end, length, row, sender).chosen(fits & (end <= piece.limit))
-    return found.chosen(are_whole(piece, found, known))
+    return found.chosen(_are_whole(piece, found, known))
 
 
-def are_whole(piece: Piece, found: Found, known: Dialect) -> NDArray[np.bool_]:
+def _are_whole(piece: Piece, found: Found, known: Dialect) -> NDArray[np.bool_]:
     """Whether each candidate ends in the checksum of its bytes."""
     after_magic = found.start + 1
     covered = found.payload + found.length - after_magic

@@ -15,7 +15,7 @@ from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem
 from fdilog_readers.columns import Blocks, Bytes, Offsets, rows
 from fdilog_readers.losses import Losses
-from fdilog_readers.mavlink_candidates import Found, Piece, are_whole, find_packets
+from fdilog_readers.mavlink_candidates import Found, Piece, find_packets
 from fdilog_readers.mavlink_dialect import (
     CHECKSUM_BYTES,
     HEADER_V1,
@@ -24,6 +24,7 @@ from fdilog_readers.mavlink_dialect import (
     SIGNED,
     V1,
     V2,
+    checksum,
     dialect,
 )
 
@@ -234,15 +235,10 @@ class _Framing:
 
     def _is_whole(self, piece: Piece, start: int, header: _Header) -> bool:
         """Whether a packet of a known message, longer than that should be, has its checksum."""
-        one = Found(
-            start=np.array([start]),
-            payload=np.array([start + header.header]),
-            end=np.array([header.end]),
-            length=np.array([int(piece.bytes[start + 1])]),
-            row=np.array([header.row], np.int16),
-            sender=np.array([header.sender], np.uint16),
-        )
-        return bool(are_whole(piece, one, self.known)[0])
+        end = start + header.header + int(piece.bytes[start + 1])
+        covered, logged = piece.bytes[start + 1 : end], piece.bytes[end : end + CHECKSUM_BYTES]
+        right = checksum(covered.tobytes(), int(self.known.extra[header.row]))
+        return right == int.from_bytes(logged.tobytes(), "little")
 
     def _lose(self, start: int, end: int, what: str) -> None:
         """Note bytes that hold no whole packet; neighbours of one kind are one loss."""

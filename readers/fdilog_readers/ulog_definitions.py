@@ -104,7 +104,7 @@ class Definitions:
                 (self.info if kind == "I" else self.parameters)[pair[0]] = pair[1]
         elif kind == "O":
             self.dropouts.append((offset, int.from_bytes(body, "little")))
-        elif kind == "B" and self.counts.total() == 1:  # nowhere but at the beginning
+        elif kind == "B":
             self._flags(offset, body)
 
     def _subscribe(self, offset: int, body: bytes) -> None:
@@ -160,6 +160,12 @@ def _is_text(body: bytes) -> bool:
     return plain_text(text) == text
 
 
+def _is_flags(body: bytes) -> bool:
+    """Tell flags, of which no more than the first eight of each kind have a meaning so far."""
+    rest = body[1:FLAG_BYTES] + body[FLAG_BYTES + 1 : 2 * FLAG_BYTES]
+    return len(body) >= 2 * FLAG_BYTES + 8 * N_APPENDED and not any(rest)
+
+
 def _is_subscription(body: bytes) -> bool:
     return len(body) > 3 and NAME.fullmatch(body[3:]) is not None
 
@@ -170,7 +176,7 @@ def _is_logged(body: bytes, text_at: int) -> bool:
 
 PLAUSIBLE: dict[str, Callable[[bytes], bool]] = {
     "A": _is_subscription,
-    "B": lambda body: len(body) >= 2 * FLAG_BYTES + 8 * N_APPENDED,
+    "B": _is_flags,
     "C": lambda body: _is_logged(body, 11),
     "F": lambda body: parse_format(body) is not None,
     "I": lambda body: parse_value(body) is not None,

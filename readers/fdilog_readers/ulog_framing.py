@@ -22,7 +22,7 @@ from fdilog_readers.losses import Losses
 from fdilog_readers.ulog_definitions import ID_BYTES, Definitions, is_plausible, may_begin
 from fdilog_readers.ulog_layout import FILE_HEADER_BYTES, HEADER_BYTES, MAGIC, MOST_BYTES
 
-DATA = ord("D")
+DATA, FLAGS = ord("D"), ord("B")
 OTHERS = b"FIMPQALCSORB"
 # A record, and enough of what follows it to believe it.
 LOOK_AHEAD = HEADER_BYTES + MOST_BYTES + HEADER_BYTES + ID_BYTES
@@ -119,8 +119,8 @@ class _Piece:
             return self.known.fits(message_id, size)
         if end > len(self.buffer):
             return self.at_end and may_begin(chr(kind), size, self.body(at, end))
-        if self.holds_data(at, end):
-            return False
+        if self.holds_data(at, end) or (kind == FLAGS and self.known.counts):
+            return False  # flags stand at the beginning or nowhere
         if kind in OTHERS and is_plausible(chr(kind), self.body(at, end)):
             return True
         named = size > 0 and chr(kind).isalpha() and kind < 128
@@ -333,7 +333,7 @@ class Framing:
             self._losses.add(offset, self._blocks.start + end, what)
             return end, True, True
         self.known.take(chr(kind), offset, body)
-        if chr(kind) == "B" and self.known.appended:
+        if kind == FLAGS and self.known.appended:
             inside = range(self._blocks.start + end + 1, self._blocks.size)
             self._appended = [place for place in self.known.appended if place in inside]
             return end, not self._appended, True
