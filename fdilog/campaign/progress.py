@@ -120,7 +120,8 @@ def summary_lines(campaign: Campaign, output: Path) -> Iterator[str]:
     """Say what came out: counts, the vehicles that fail, the sensors that drift, where to look."""
     counts = campaign.counts
     told = ", ".join(f"{number} {state}" for state, number in counts.items() if number)
-    yield f"{len(campaign.logs)} logs: {told}"
+    number = len(campaign.logs)
+    yield f"{number} log{'s' * (number != 1)}: {told}"
     failing: dict[str, dict[str, int]] = defaultdict(dict)
     for cell in campaign.cells:
         if cell.failed or cell.suspect:
