@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fdilog_readers import chunks
 from fdilog_readers.chunks import ChunkHead, DamagedChunkError, decompress
-from fdilog_readers.columns import Bytes
+from fdilog_readers.columns import Bytes, Offsets, rows
 from fdilog_readers.file_bytes import read_at
 from fdilog_readers.mcap_records import (
+    INDEX_ENTRY,
+    MESSAGE,
+    MESSAGE_FIELDS_BYTES,
+    MESSAGE_HEAD,
+    RECORD,
     ChunkPlace,
     DamagedRecordError,
     parse_chunk_head,
     parse_message_index,
 )
+from fdilog_readers.message_batch import Batch, side_by_side
+
+Timed = tuple[NDArray[np.int64], Batch]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +36,9 @@ class Chunk:
     ----------
     records : (n_bytes,) or None
         The uncompressed records; None if the chunk is too large to have whole.
-    indexes
-        Channel to the entries of its message index.
+    batches
+        Channels of a topic to their messages, as the chunk's own index names them; None where
+        there is no index, or it does not hold true.
     failure
         Why there are no records.
     """
@@ -36,7 +46,7 @@ class Chunk:
     place: ChunkPlace
     head: ChunkHead | None = None
     records: Bytes | None = None
-    indexes: dict[int, NDArray[np.void]] = field(default_factory=dict)
+    batches: dict[tuple[int, ...], list[Timed]] | None = None
     failure: str = ""
 
     @property
@@ -45,8 +55,14 @@ class Chunk:
         return self.records is None and not self.failure
 
 
-def load(file: int, place: ChunkPlace, wanted: frozenset[int]) -> Chunk:
-    """Read one chunk with the message indexes of the wanted channels, and check it."""
+def load(file: int, place: ChunkPlace, topics: tuple[tuple[int, ...], ...]) -> Chunk:
+    """Read one chunk, check it, and copy the messages of the topics by the chunk's own index.
+
+    Parameters
+    ----------
+    topics
+        The channels of each topic; none at all if the index is not to be used.
+    """
     try:
         raw = memoryview(
             read_at(file, min(place.end - place.start, chunks.LARGE_BYTES), place.start)
@@ -57,29 +73,106 @@ def load(file: int, place: ChunkPlace, wanted: frozenset[int]) -> Chunk:
         if len(raw) < place.length:
             raise DamagedChunkError("the file ends inside it")  # noqa: TRY301
         data = raw[head.data_at : head.data_at + head.data_length]
-        records = decompress(head, data)
+        records = np.frombuffer(decompress(head, data), np.uint8)
     except (DamagedChunkError, DamagedRecordError) as error:
         return Chunk(place, failure=str(error))
     except OSError as error:
         return Chunk(place, failure=(error.strerror or str(error)).lower())
-    buffer = np.frombuffer(records, np.uint8)
-    return Chunk(place, head, buffer, _indexes(raw, place, wanted))
+    return Chunk(place, head, records, _indexed(records, raw, place, topics))
 
 
-def _indexes(
-    raw: memoryview, place: ChunkPlace, wanted: frozenset[int]
-) -> dict[int, NDArray[np.void]]:
-    """Read the message indexes; none at all if one of them is not what the summary says."""
+def _indexed(
+    records: Bytes, raw: memoryview, place: ChunkPlace, topics: tuple[tuple[int, ...], ...]
+) -> dict[tuple[int, ...], list[Timed]] | None:
+    """Copy what the index names; nothing if any of it is not what it says."""
     found = {}
-    for channel in wanted.intersection(place.indexes):
+    for channels in topics:
+        here = tuple(channel for channel in channels if channel in place.indexes)
+        entries = _entries(raw, place, here)
+        batches = None if entries is None else _at_entries(records, entries, here)
+        if batches is None:
+            return None
+        found[channels] = batches
+    return found or None
+
+
+def _entries(
+    raw: memoryview, place: ChunkPlace, channels: tuple[int, ...]
+) -> NDArray[np.void] | None:
+    """Read the message indexes of some channels; None if they are not what the summary says."""
+    found = [np.empty(0, INDEX_ENTRY)]
+    for channel in channels:
+        at = place.indexes[channel] - place.start
         try:
-            at = place.indexes[channel] - place.start
-            if at < place.length:
-                return {}
-            number, entries = parse_message_index(raw[at:])
+            number, entries = parse_message_index(raw[at:] if at >= place.length else raw[:0])
         except DamagedRecordError:
-            return {}
+            return None
         if number != channel:
-            return {}
-        found[channel] = entries
-    return found
+            return None
+        found.append(entries)
+    return found[1] if len(found) == 2 else np.concatenate(found)
+
+
+def message_heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:
+    """Read the heads of the messages at these offsets; None unless there are such."""
+    if not len(offsets):
+        return None
+    low, high = int(offsets.min()), int(offsets.max())
+    if low < 0 or high > len(records) - MESSAGE_HEAD.itemsize:
+        return None
+    opaque = np.dtype((np.void, MESSAGE_HEAD.itemsize))
+    heads: NDArray[np.void] = rows(records, offsets, opaque).view(MESSAGE_HEAD)
+    lengths = heads["length"]
+    longest = (len(records) - RECORD.size - offsets).astype(np.uint64)
+    good = (heads["opcode"] == MESSAGE) & (lengths >= MESSAGE_FIELDS_BYTES) & (lengths <= longest)
+    return heads if good.all() else None
+
+
+def batches_at(records: Bytes, offsets: Offsets, heads: NDArray[np.void]) -> Iterator[Timed]:
+    """Copy the messages at these offsets, with the times at which they were recorded. [ns]"""
+    lengths = heads["length"].astype(np.int64) - MESSAGE_FIELDS_BYTES
+    for part, batch in side_by_side(records, offsets, MESSAGE_HEAD.itemsize, lengths):
+        yield heads["log_time"][part], batch
+
+
+def _at_entries(
+    records: Bytes, entries: NDArray[np.void], channels: tuple[int, ...]
+) -> list[Timed] | None:
+    """Copy the messages that an index names, in file order; None if it names anything else."""
+    offsets: Offsets = entries["offset"].astype(np.int64)
+    if not (offsets[1:] > offsets[:-1]).all():
+        order = np.argsort(offsets)
+        entries, offsets = entries[order], offsets[order]
+        if not (offsets[1:] > offsets[:-1]).all():
+            return None
+    times_ns: NDArray[np.int64] = entries["log_time"]
+    batch = _of_one_length(records, offsets)
+    if batch is not None:
+        heads = np.ndarray(len(batch), MESSAGE_HEAD, batch.rows, 0, batch.rows.strides[:1])
+        if int(heads["channel"][0]) in channels and (heads["log_time"] == times_ns).all():
+            return [(times_ns, batch)]
+    whole = message_heads(records, offsets)
+    if whole is None:
+        return None if len(offsets) else []
+    if np.isin(whole["channel"], channels).all() and (whole["log_time"] == times_ns).all():
+        return list(batches_at(records, offsets, whole))
+    return None
+
+
+def _of_one_length(records: Bytes, offsets: Offsets) -> Batch | None:
+    """Copy messages that all have the first one's length and channel, as nearly always; or None."""
+    if not len(offsets) or not 0 <= offsets[0] <= len(records) - MESSAGE_HEAD.itemsize:
+        return None
+    first = int(offsets[0])
+    opcode, length = RECORD.unpack_from(records.data, first)
+    width = -(-(RECORD.size + length) // 8) * 8
+    if opcode != MESSAGE or length < MESSAGE_FIELDS_BYTES or offsets[-1] > len(records) - width:
+        return None
+    found = rows(records, offsets, np.dtype((np.void, width))).view(np.uint8).reshape(-1, width)
+    # Opcode, length and channel are the first eleven bytes: two numbers of eight that overlap.
+    for at in (0, 3):
+        column = np.ndarray(len(found), np.uint64, found, at, (width,))
+        if not (column == column[0]).all():
+            return None
+    lengths = np.full(len(found), length - MESSAGE_FIELDS_BYTES, np.int64)
+    return Batch(found, MESSAGE_HEAD.itemsize, lengths)

@@ -11,18 +11,15 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fdilog.recording import Problem
 from fdilog_readers import chunks
 from fdilog_readers.chunks import ChunkHead, DamagedChunkError, ahead, checksum, windows
-from fdilog_readers.columns import Bytes, Offsets, rows
+from fdilog_readers.columns import Bytes, Offsets
 from fdilog_readers.file_bytes import FileBytes
-from fdilog_readers.mcap_chunks import Chunk, load
+from fdilog_readers.mcap_chunks import Chunk, batches_at, load, message_heads
 from fdilog_readers.mcap_records import (
     MESSAGE,
-    MESSAGE_FIELDS_BYTES,
-    MESSAGE_HEAD,
     RECORD,
     ChannelRecord,
     ChunkPlace,
@@ -30,11 +27,8 @@ from fdilog_readers.mcap_records import (
     MessageChain,
 )
 from fdilog_readers.mcap_scan import Contents, Loose, walk
-from fdilog_readers.message_batch import Batch, side_by_side
 from fdilog_readers.message_reading import open_topic
 from fdilog_readers.topics import Topic, Topics
-
-Timed = tuple[NDArray[np.int64], Batch]
 
 
 class Messages:
@@ -88,7 +82,15 @@ class Messages:
             elif self._only_counted(item):
                 yield partial(Chunk, item)
             else:
-                yield partial(load, self.data.file, item, self._wanted)
+                topics = self._topics_in(item) if self._is_indexed(item) else ()
+                yield partial(load, self.data.file, item, topics)
+
+    def _topics_in(self, place: ChunkPlace) -> tuple[tuple[int, ...], ...]:
+        """Return the channels of each topic that is wanted of a chunk."""
+        found: dict[Topic, list[int]] = {}
+        for number in sorted(self._wanted & place.indexes.keys()):
+            found.setdefault(self._topic_of[number], []).append(number)
+        return tuple(map(tuple, found.values()))
 
     def _is_indexed(self, place: ChunkPlace) -> bool:
         return bool(place.indexes) and place.indexes.keys() <= self._topic_of.keys()
@@ -107,10 +109,12 @@ class Messages:
             self._counts.update(item.place.counts())
         elif item.records is None:
             self._take_large(item, item.head)
-        elif not (
-            (self._is_indexed(item.place) and self._take_indexed(item, item.records))
-            or self._take_records(item.records) == len(item.records)
-        ):
+        elif item.batches is not None:
+            for numbers, batches in item.batches.items():
+                for times_ns, batch in batches:
+                    self._topic_of[numbers[0]].add(batch, times_ns)
+            self._counts.update(item.place.counts())
+        elif self._take_records(item.records) < len(item.records):
             self._lost(item.place, "its records contradict each other")
         if isinstance(item, Chunk) and item.head:
             self.checked |= item.head.crc != 0
@@ -124,27 +128,6 @@ class Messages:
             seconds_lost=place.seconds,
         )
         self.contents.problems.append(problem)
-
-    def _take_indexed(self, chunk: Chunk, records: Bytes) -> bool:
-        """Take the messages that the chunk's index names; nothing, if it does not hold true."""
-        channels = self._wanted & chunk.place.indexes.keys()
-        if channels != chunk.indexes.keys():
-            return False
-        found: list[tuple[Topic, list[Timed]]] = []
-        for topic in {self._topic_of[number] for number in channels}:
-            numbers = [n for n in channels if self._topic_of[n] is topic]
-            entries = chunk.indexes[numbers[0]]
-            if len(numbers) > 1:
-                entries = np.concatenate([chunk.indexes[n] for n in numbers])
-            batches = _at_entries(records, entries, numbers)
-            if batches is None:
-                return False
-            found.append((topic, batches))
-        for topic, batches in found:
-            for times_ns, batch in batches:
-                topic.add(batch, times_ns)
-        self._counts.update(chunk.place.counts())
-        return True
 
     def _take_records(self, records: Bytes) -> int:
         """Take records that lie end to end; return how many bytes of them make sense."""
@@ -187,7 +170,7 @@ class Messages:
 
     def _sort(self, records: Bytes, offsets: Offsets) -> None:
         """Hand messages of any channels to their topics."""
-        heads = _heads(records, offsets)
+        heads = message_heads(records, offsets)
         if heads is None:
             return
         channels = heads["channel"]
@@ -198,7 +181,7 @@ class Messages:
             if topic and topic.wanted:
                 own = [n for n in numbers.tolist() if self._topic_of.get(n) is topic]
                 here = np.isin(channels, own)
-                for times_ns, batch in _batches(records, offsets[here], heads[here]):
+                for times_ns, batch in batches_at(records, offsets[here], heads[here]):
                     topic.add(batch, times_ns)
 
     def _check_counts(self) -> None:
@@ -234,67 +217,3 @@ class Messages:
 
 def _as_it_is(item: Loose) -> Loose:
     return item
-
-
-def _heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:
-    """Read the heads of the messages at these offsets; None unless there are such."""
-    if not len(offsets):
-        return None
-    low, high = int(offsets.min()), int(offsets.max())
-    if low < 0 or high > len(records) - MESSAGE_HEAD.itemsize:
-        return None
-    opaque = np.dtype((np.void, MESSAGE_HEAD.itemsize))
-    heads: NDArray[np.void] = rows(records, offsets, opaque).view(MESSAGE_HEAD)
-    lengths = heads["length"]
-    longest = (len(records) - RECORD.size - offsets).astype(np.uint64)
-    good = (heads["opcode"] == MESSAGE) & (lengths >= MESSAGE_FIELDS_BYTES) & (lengths <= longest)
-    return heads if good.all() else None
-
-
-def _batches(records: Bytes, offsets: Offsets, heads: NDArray[np.void]) -> Iterator[Timed]:
-    lengths = heads["length"].astype(np.int64) - MESSAGE_FIELDS_BYTES
-    for part, batch in side_by_side(records, offsets, MESSAGE_HEAD.itemsize, lengths):
-        yield heads["log_time"][part], batch
-
-
-def _at_entries(
-    records: Bytes, entries: NDArray[np.void], channels: list[int]
-) -> list[Timed] | None:
-    """Copy the messages that an index names, in file order; None if it names anything else."""
-    offsets: Offsets = entries["offset"].astype(np.int64)
-    if not (offsets[1:] > offsets[:-1]).all():
-        order = np.argsort(offsets)
-        entries, offsets = entries[order], offsets[order]
-        if not (offsets[1:] > offsets[:-1]).all():
-            return None
-    times_ns: NDArray[np.int64] = entries["log_time"]
-    batch = _of_one_length(records, offsets)
-    if batch is not None:
-        heads = np.ndarray(len(batch), MESSAGE_HEAD, batch.rows, 0, batch.rows.strides[:1])
-        if int(heads["channel"][0]) in channels and (heads["log_time"] == times_ns).all():
-            return [(times_ns, batch)]
-    whole = _heads(records, offsets)
-    if whole is None:
-        return None if len(offsets) else []
-    if np.isin(whole["channel"], channels).all() and (whole["log_time"] == times_ns).all():
-        return list(_batches(records, offsets, whole))
-    return None
-
-
-def _of_one_length(records: Bytes, offsets: Offsets) -> Batch | None:
-    """Copy messages that all have the first one's length and channel, as nearly always; or None."""
-    if not len(offsets) or not 0 <= offsets[0] <= len(records) - MESSAGE_HEAD.itemsize:
-        return None
-    first = int(offsets[0])
-    opcode, length = RECORD.unpack_from(records.data, first)
-    width = -(-(RECORD.size + length) // 8) * 8
-    if opcode != MESSAGE or length < MESSAGE_FIELDS_BYTES or offsets[-1] > len(records) - width:
-        return None
-    found = rows(records, offsets, np.dtype((np.void, width))).view(np.uint8).reshape(-1, width)
-    # Opcode, length and channel are the first eleven bytes: two numbers of eight that overlap.
-    for at in (0, 3):
-        column = np.ndarray(len(found), np.uint64, found, at, (width,))
-        if not (column == column[0]).all():
-            return None
-    lengths = np.full(len(found), length - MESSAGE_FIELDS_BYTES, np.int64)
-    return Batch(found, MESSAGE_HEAD.itemsize, lengths)

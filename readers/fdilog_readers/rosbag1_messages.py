@@ -126,11 +126,12 @@ class Messages:
         heads = _heads(records, offsets, shape) if one_length is None else one_length.rows
         fields = np.ndarray(len(heads), shape.head, heads, 0, heads.strides[:1])
         ends = offsets + shape.lead + fields["length"]
+        own_only = (fields["conn"] == own[0]) if len(own) == 1 else np.isin(fields["conn"], own)
         if not (
-            shape.matches(heads).all()
+            shape.begins(heads).all()
+            and own_only.all()
             and (fields["seconds"] == entries["seconds"]).all()
             and (fields["nanoseconds"] == entries["nanoseconds"]).all()
-            and np.isin(fields["conn"], own).all()
             and (ends <= len(records)).all()
         ):
             return None
@@ -141,8 +142,7 @@ class Messages:
     def _shape_at(self, records: Bytes, at: int) -> MessageShape | None:
         """Return the shape of the message record that begins at a place, if one does."""
         for shape in self._shapes:
-            head = records[at : at + shape.lead].reshape(1, -1)
-            if head.shape[1] == shape.lead and shape.matches(head)[0]:
+            if shape.matches(records[at : at + shape.lead].data):
                 return shape
         try:
             shape = MessageShape(records[at:].data)

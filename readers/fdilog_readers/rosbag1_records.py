@@ -180,6 +180,8 @@ class MessageShape:
         fixed[self._at["time"] : self._at["time"] + 8] = False
         fixed[-4:] = False
         self._model = np.frombuffer(model, np.uint8)
+        self._fixed_bits = int.from_bytes(np.where(fixed, 255, 0).astype(np.uint8).tobytes())
+        self._model_bits = int.from_bytes(model) & self._fixed_bits
         # Where eight bytes are compared at once: every eighth, and the last eight.
         starts = sorted({*range(0, self.lead - 8, 8), max(0, self.lead - 8)})
         self._parts = [(at, _mask(fixed, at), _mask(fixed, at, self._model)) for at in starts]
@@ -197,13 +199,16 @@ class MessageShape:
             }
         )
 
-    def matches(self, rows: Bytes) -> NDArray[np.bool_]:
-        """Tell which rows begin with such a header."""
-        same = np.ones(len(rows), np.bool_)
-        for at, mask, model in self._parts:
-            words = np.ndarray((len(rows),), np.uint64, rows, at, rows.strides[:1])
-            same &= (words & mask) == model
-        return same
+    def matches(self, raw: bytes | memoryview) -> bool:
+        """Tell whether a record begins with such a header."""
+        head = bytes(raw[: self.lead])
+        same = int.from_bytes(head) & self._fixed_bits == self._model_bits
+        return same and len(head) == self.lead
+
+    def begins(self, rows: Bytes) -> NDArray[np.bool_]:
+        """Tell which rows begin as such a header does: its length, and that of its first field."""
+        words = np.ndarray((len(rows),), np.uint64, rows, 0, rows.strides[:1])
+        return np.asarray(words == self._parts[0][2])
 
     def chain(self, buffer: Bytes) -> MessageChain:
         """Find all messages of this shape that a buffer may hold."""

@@ -26,7 +26,8 @@ from fdilog_readers.topics import Topic, Topics
 
 MAGIC = b"SQLite format 3\x00"
 HEAD_BYTES = 100
-ROWS_AT_ONCE = 4096
+# So many rows of a sensor's size stay in the processor's cache while they are sorted.
+ROWS_AT_ONCE = 2048
 FIRST_ID = -(1 << 62)
 # Beyond so many messages in a row that cannot be read, nothing more will come.
 LONGEST_STRIDE = 1 << 32
@@ -213,27 +214,22 @@ class _Messages:
 
         In a damaged file a number may be anything, and rows may come again without end.
         """
-        ids = np.array([row[0] for row in rows], np.int64)
-        if not (ids > np.concatenate([[last], ids[:-1]])).all():
-            # What is larger than something behind it is out of place, not all that is behind it.
-            later = np.where(ids > last, ids, np.iinfo(np.int64).max)
-            smallest = np.minimum.accumulate(later[::-1])[::-1]
-            good = (ids > last) & (ids < np.append(smallest[1:], np.iinfo(np.int64).max))
-            self._disordered += int(np.count_nonzero(~good))
-            rows = list(compress(rows, good.tolist()))
-            if not rows:
-                return last
-        _, numbers, times, messages = zip(*rows, strict=True)
-        topic_ids = np.array(numbers, np.int64)
-        times_ns = np.array(times, np.int64)
-        present, counts = np.unique(topic_ids, return_counts=True)
-        self._counts.update(dict(zip(present.tolist(), counts.tolist(), strict=True)))
-        for number in present.tolist():
+        ids, numbers, times, messages = zip(*rows, strict=True)
+        if ids[0] <= last or ids[-1] - ids[0] != len(ids) - 1:
+            good = _in_order(np.array(ids, np.int64), last)
+            if not good.all():
+                self._disordered += int(np.count_nonzero(~good))
+                rows = list(compress(rows, good.tolist()))
+                return self._take(rows, last) if rows else last
+        topic_ids = _integers(numbers)
+        for number in np.unique(topic_ids).tolist():
             topic = self._topic_of.get(number)
+            here = (topic_ids == number).tolist()
+            self._counts[number] += sum(here)
             if topic is not None and topic.wanted:
-                here = topic_ids == number
-                self._add(topic, list(compress(messages, here.tolist())), times_ns[here])
-        return int(rows[-1][0])
+                times_ns = np.array(list(compress(times, here)), np.int64)
+                self._add(topic, list(compress(messages, here)), times_ns)
+        return int(ids[-1])
 
     def _add(self, topic: Topic, messages: list[bytes], times_ns: NDArray[np.int64]) -> None:
         lengths = np.fromiter(map(len, messages), np.int64, len(messages))
@@ -244,3 +240,20 @@ class _Messages:
         starts = np.cumsum(lengths) - lengths
         for part, batch in side_by_side(buffer, starts, 0, lengths):
             topic.add(batch, times_ns[part])
+
+
+def _in_order(ids: NDArray[np.int64], last: int) -> NDArray[np.bool_]:
+    """Tell which rows are numbered after the last one, and before all that come behind them.
+
+    What is larger than something behind it is out of place, not all that is behind it.
+    """
+    most = np.iinfo(np.int64).max
+    smallest = np.minimum.accumulate(np.where(ids > last, ids, most)[::-1])[::-1]
+    return (ids > last) & (ids < np.append(smallest[1:], most))
+
+
+def _integers(values: tuple[int, ...]) -> NDArray[Any]:
+    try:
+        return np.frombuffer(bytes(values), np.uint8)  # several times faster, and nearly always
+    except ValueError:
+        return np.array(values, np.int64)
