@@ -386,7 +386,8 @@ def quantisation_step(x: ArrayLike) -> float:
     Values may have been through single precision (most logs), so each is known to
     `SINGLE_ROUNDING` of its size only; a step must stand well above that to be seen.
     """
-    values = np.unique(np.asarray(x, dtype=np.float64))
+    readings = np.asarray(x, dtype=np.float64)
+    values = np.unique(readings[:: 1 + len(readings) // MOST_READINGS])
     values = values[np.isfinite(values)]
     rounding = SINGLE_ROUNDING * np.abs(values)
     if len(values):
@@ -423,6 +424,9 @@ def _refined_step(values: Floats, guess: float) -> float:
             return step
         reach = max(4.0 * reach, float(np.abs(offset[~near]).min()))
 
+
+MOST_READINGS = 20_000
+"""Of more readings than these, evenly spaced ones are looked at: the levels are the same."""
 
 MIN_LEVELS = 6
 """Fewer distinct values than this fit some step by chance."""

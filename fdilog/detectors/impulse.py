@@ -99,24 +99,29 @@ def _impulses(
     factor = 1.0 if others.any() else ALONE_FACTOR
     others = others if others.any() else of_source
     others[channel] = False
-    half = max(3, round(NEIGHBOURHOOD_S * table.channels[channel].rate_hz))
+    peak = size[high] >= np.maximum(size[high - 1], size[np.minimum(high + 1, len(size) - 1)])
+    # Both neighbours are there: the deviation of the first and the last reading is zero.
+    at = high[peak & (size[high] >= factor * limit)]
+    readings = table.rate_rad_s[rows, channel]
+    at = at[np.abs(readings[at + 1] - readings[at - 1]) <= RETURNED * size[at]]
+    level = _levels(size, at, max(3, round(NEIGHBOURHOOD_S * table.channels[channel].rate_hz)))
+    stands_out = size[at] > TIMES_LEVEL * level
     found = []
-    for at in high.tolist():
-        first, last = max(0, at - 1), at + 2
-        if size[at] < factor * limit or size[at] < size[first:last].max():
-            continue
-        before, after = (
-            table.rate_rad_s[rows[at - 1], channel],
-            table.rate_rad_s[rows[at + 1], channel],
-        )
-        if abs(after - before) > RETURNED * size[at]:
-            continue
-        level = float(np.quantile(size[max(0, at - half) : at + half + 1], LEVEL))
-        here = slice(rows[first], rows[min(last, len(rows)) - 1] + 1)
-        confirmed = np.abs(deviation[here][:, others]).max(initial=0.0)
-        if size[at] > TIMES_LEVEL * level and confirmed < CONFIRMED * size[at]:
-            found.append((int(rows[at]), level))
+    for sample, around in zip(at[stands_out].tolist(), level[stands_out].tolist(), strict=True):
+        here = slice(rows[sample - 1], rows[sample + 1] + 1)
+        if np.abs(deviation[here][:, others]).max(initial=0.0) < CONFIRMED * size[sample]:
+            found.append((int(rows[sample]), around))
     return found
+
+
+def _levels(size: Floats, at: NDArray[np.int64], half: int) -> Floats:
+    """Level that `LEVEL` of the readings about some samples stay below, one a stretch of them."""
+    levels = np.zeros(len(at))
+    stretch = at // half
+    for number in np.unique(stretch).tolist():
+        around = size[max(0, (number - 1) * half) : (number + 2) * half]
+        levels[stretch == number] = np.quantile(around, LEVEL)
+    return levels
 
 
 def _evidence(
