@@ -1,4 +1,4 @@
-"""Laying out, second by second, what an attitude is held against.
+"""Laying out, half second by half second, what an attitude is held against.
 
 The accelerometers of every IMU, the compass, and the acceleration that GPS saw, each turned into
 the world by the attitude itself.
@@ -23,6 +23,8 @@ STANDARD_GRAVITY = 9.80665
 NORTH_EAST = ("GPS", "Spd", "GCrs", "Status")
 """Stream of GPS with ground speed [m/s] and course [deg], as DataFlash logs have it."""
 GPS_FIX_3D = 3
+LONGEST_PAUSE_S = 1.1
+"""The slowest GPS in use speaks once a second."""
 FEWEST_FIXES = 50
 GPS_LAGS_S = np.arange(0.0, 0.65, 0.1)
 """A GPS velocity is up to half a second old when it is logged."""
@@ -52,7 +54,7 @@ class Attitude:
 def anchored(
     recording: Recording, attitude: Attitude, zero_ns: int, config: Config
 ) -> Anchors | None:
-    """Lay what the attitude is held against out in cells of a second."""
+    """Lay what the attitude is held against out in cells."""
     first, last = attitude.time_s[0], attitude.time_s[-1]
     edges = np.arange(np.ceil(first / CELL_S), np.floor(last / CELL_S) + 1) * CELL_S
     if len(edges) < 2:
@@ -176,10 +178,9 @@ def _acceleration_by_gps(
         return None
     time_s, speed, course = time_s[good], speed[good], np.radians(course[good])
     velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course)])
-    # Between records further apart than a cell the velocity is not known.
     after = np.clip(np.searchsorted(time_s, edges), 1, len(time_s) - 1)
     heard = (edges >= time_s[0]) & (edges <= time_s[-1])
-    heard &= time_s[after] - time_s[after - 1] <= CELL_S
+    heard &= time_s[after] - time_s[after - 1] <= LONGEST_PAUSE_S
     rows = np.isfinite(force).all(axis=1) & heard[1:] & heard[:-1]
     best, least = None, np.inf
     for lag in GPS_LAGS_S:

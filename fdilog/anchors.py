@@ -21,13 +21,14 @@ from fdilog.student import student_quantile
 
 Floats = NDArray[np.float64]
 
-CELL_S = 1.0
-"""Means over a second: long against vibration, short against every span that can be anchored."""
+CELL_S = 0.5
+"""Means over half a second: long against vibration, two records of a usual GPS, and short enough to
+keep the accelerations of a vehicle that manoeuvres, which tell its heading."""
 
-FEWEST_CELLS = 8
-"""Two constants and a slope for each axis need some more points than that to show their noise."""
+FEWEST_CELLS = 16
+"""Two constants and a slope for each axis need many more points than that to show their noise."""
 
-FEWEST_IN_SEGMENT = 4
+FEWEST_IN_SEGMENT = 8
 MOST_SEGMENTS = 50
 """Each segment has three constants of its own; an attitude with more pauses is no thread."""
 
@@ -84,12 +85,12 @@ class Drift:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Anchors:
-    """Directions in the attitude's own world, second by second.
+    """Directions in the attitude's own world, cell by cell.
 
     Parameters
     ----------
     time_s : (n,)
-        Middle of each second. [s]
+        Middle of each cell. [s]
     segment : (n,) int64
         Number of the stretch in which the attitude neither jumps nor pauses.
     turned : (n, 3, 3)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.anchoring import Attitude, anchored
-from fdilog.anchors import CELL_S, Anchors
+from fdilog.anchors import Anchors
 from fdilog.attitude import logged_attitude, mean_rates, rotation_vectors
 from fdilog.clocks import HOLE_PERIODS, clean_stamps
 from fdilog.config import Config
@@ -148,7 +148,7 @@ def _contradicts(table: ChannelTable, rate: Floats) -> bool:
     """Tell whether an attitude explains the motion of no triad of gyros at all."""
     shares = []
     for rows, gyro in _triads(table):
-        second = np.floor(table.time_s[rows] / CELL_S).astype(np.int64)
+        second = np.floor(table.time_s[rows]).astype(np.int64)
         start = np.flatnonzero(np.concatenate([[True], np.diff(second) > 0]))
         count = np.diff(np.append(start, len(rows)))[:, None]
         means = np.add.reduceat(np.hstack([gyro, rate[rows]]), start, axis=0) / count
