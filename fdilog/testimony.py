@@ -151,7 +151,7 @@ def _words(table: ChannelTable, heard: dict[int, Testimony]) -> str:
         f" (against the attitude as it is {_size(one.error, one.half_width)})"
         for k, one in heard.items()
     ]
-    return f"deg/s against {several}, by way of the attitude: {'; '.join(said)}"
+    return f"against {several}, by way of the attitude, in deg/s: {'; '.join(said)}"
 
 
 def _size(error: float, half_width: float) -> str:
