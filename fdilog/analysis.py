@@ -21,7 +21,7 @@ from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
 
 if TYPE_CHECKING:
-    from fdilog.findings import Hearing
+    from fdilog.biases import Hearing
     from fdilog.witness import Witness
 
 SCHEMA = "fdilog/1"
@@ -217,6 +217,7 @@ def judge(
     """
     from fdilog import decision
     from fdilog import findings as of
+    from fdilog.biases import bias_findings
     from fdilog.registry import detectors, plugins
     from fdilog.windows import Survey, cut, spans
 
@@ -256,7 +257,7 @@ def judge(
     noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
     compared = [item for item in compared if item.kind == "bias"]
     hearing = None if witness is None else _hearing(witness, testified, config)
-    biased = of.bias_findings(heard, sound, compared, config, hearing)
+    biased = bias_findings(heard, sound, compared, config, hearing)
     findings = [
         *of.self_evident_findings(gyros, alone),
         *of.noise_findings(heard, noisy),

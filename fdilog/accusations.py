@@ -1,0 +1,116 @@
+"""Who is accused by what: windows in a row, and those that speak of one fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.finding import Evidence, Kind
+from fdilog.table import ChannelTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accusation:
+    """Windows in a row, of one length, in which a detector names the same suspects."""
+
+    kind: Kind
+    detector: str
+    suspects: frozenset[int]
+    start: int
+    stop: int
+    length_s: float
+
+
+def accusations(evidence: Evidence) -> Iterator[Accusation]:
+    """List what one piece of evidence says, windows in a row taken together."""
+    rows = np.flatnonzero(evidence.accused.any(axis=1))
+    patterns, which = np.unique(evidence.accused[rows], axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        here = rows[which == number]
+        start, stop = evidence.windows.start[here], evidence.windows.stop[here]
+        for first, last in _merged(start, stop):
+            for group in np.unique(pattern[pattern > 0]):
+                yield Accusation(
+                    kind=evidence.kind,
+                    detector=evidence.detector,
+                    suspects=frozenset(np.flatnonzero(pattern == group).tolist()),
+                    start=first,
+                    stop=last,
+                    length_s=evidence.windows.length_s,
+                )
+
+
+def _merged(start: NDArray[np.int64], stop: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Join ranges that touch or overlap."""
+    order = np.argsort(start, kind="stable")
+    start, stop = start[order], stop[order]
+    reach = np.maximum.accumulate(stop)
+    fresh = np.concatenate([[True], start[1:] > reach[:-1]]) if len(start) else np.zeros(0, bool)
+    first = np.flatnonzero(fresh)
+    last = np.append(first[1:], len(start)) - 1
+    return [(int(start[a]), int(reach[b])) for a, b in zip(first, last, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cluster:
+    """Accusations of one detector that overlap in time and share a suspect.
+
+    The suspects are those that every accusation names; accusations that have none in common are
+    never joined.
+    """
+
+    suspects: frozenset[int]
+    start: int
+    stop: int
+    longest_s: float
+    members: tuple[Accusation, ...]
+
+    @classmethod
+    def of(cls, member: Accusation) -> Cluster:
+        """Start a cluster from one accusation."""
+        return cls(
+            suspects=member.suspects,
+            start=member.start,
+            stop=member.stop,
+            longest_s=member.length_s,
+            members=(member,),
+        )
+
+    def joined(self, other: Cluster) -> Cluster:
+        """Return both as one."""
+        return Cluster(
+            suspects=self.suspects & other.suspects,
+            start=min(self.start, other.start),
+            stop=max(self.stop, other.stop),
+            longest_s=max(self.longest_s, other.longest_s),
+            members=(*other.members, *self.members),
+        )
+
+
+def clusters(
+    time_s: NDArray[np.float64], accused: Sequence[Accusation], reach_s: float = 0.0
+) -> list[Cluster]:
+    """Join accusations that share a suspect and are no further apart than their windows reach."""
+    found: list[Cluster] = []
+    for item in sorted(accused, key=lambda a: (a.start, a.stop, -a.length_s, sorted(a.suspects))):
+        merged = Cluster.of(item)
+        apart = []
+        for other in found:
+            gap_s = time_s[merged.start] - time_s[other.stop - 1]
+            near = gap_s <= max(merged.longest_s / 2, other.longest_s / 2, reach_s)
+            if near and other.suspects & merged.suspects:
+                merged = merged.joined(other)
+            else:
+                apart.append(other)
+        found = [*apart, merged]
+    return found
+
+
+def region(table: ChannelTable, start: int, stop: int, reach_s: float) -> tuple[int, int]:
+    """Widen a range of samples by some time on both sides."""
+    time_s = table.time_s
+    first = int(np.searchsorted(time_s, time_s[start] - reach_s))
+    return first, int(np.searchsorted(time_s, time_s[stop - 1] + reach_s, side="right"))
