@@ -20,6 +20,7 @@ _WORDS: dict[Kind, str] = {
     "impulse": "single readings far off, confirmed by no other gyro",
     "dead": "reads exactly zero",
     "dropout": "silent while other sources go on",
+    "saturated": "reads its full scale, and may have turned faster",
     "stuck": "repeats one value beyond what its quantisation explains",
 }
 
@@ -161,7 +162,7 @@ def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> 
             end_s=float(table.time_s[said.stop - 1]),
             size=_own_size(item, said),
             detectors=(said.detector,),
-            detail=_WORDS[said.kind],
+            detail=_WORDS.get(said.kind, ""),
         )
         for item in evidence
         for said in accusations(item)

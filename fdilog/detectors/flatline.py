@@ -1,4 +1,4 @@
-"""A gyro that repeats one value: stuck, or dead if that value is zero.
+"""A gyro that repeats one value: stuck, dead if it is zero, saturated if it is its full scale.
 
 A channel accuses itself here; no other gyro is needed.
 """
@@ -29,6 +29,9 @@ LEAST_CHANCE = 0.05
 # pictures of a unit on a bench.
 LONGEST_STILL = 500
 LONGEST_STILL_S = 10.0
+# Full scales of MEMS gyros, by their data sheets; trimmed sensitivities move them by a few percent.
+FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
+FULL_SCALE_MARGIN = 0.03
 # What moves by fewer steps than this may rest within one step of a coarser gyro.
 MOVING_STEPS = 4.0
 
@@ -72,22 +75,33 @@ def longest_ordinary_run(lengths: NDArray[np.int64]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class FlatlineDetector:
-    """Stuck and dead channels, each judged by itself."""
+    """Stuck, dead and saturated channels, each judged by itself."""
 
-    description: ClassVar[str] = "a value repeated beyond what quantisation explains: stuck, dead"
+    description: ClassVar[str] = (
+        "a value repeated beyond what quantisation explains: stuck, dead, saturated"
+    )
     stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
         """Give one window for every run that no quantisation explains."""
         table = survey.table
-        found: dict[Kind, list[tuple[int, int, int]]] = {"dead": [], "stuck": []}
+        found: dict[Kind, list[tuple[int, int, int]]] = {"dead": [], "saturated": [], "stuck": []}
         parts = stretches(table, survey.config)
         least_motion = float(np.radians(survey.config.tolerance.bias_deg_s))
         for channel in range(len(table.channels)):
             for start, stop, value in _impossible_runs(table, channel, parts, least_motion):
-                kind: Kind = "dead" if value == 0.0 else "stuck"
-                found[kind].append((start, stop, channel))
+                found[_kind(table, channel, value)].append((start, stop, channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
+
+
+def _kind(table: ChannelTable, channel: int, value: float) -> Kind:
+    """Name a run by its value: zero, the end of a full scale that is never exceeded, or any."""
+    if value == 0.0:
+        return "dead"
+    readings = table.rate_rad_s[table.valid[:, channel], channel]
+    full_scale = np.radians(FULL_SCALES_DEG_S)
+    at_an_end = bool((np.abs(abs(value) / full_scale - 1.0) < FULL_SCALE_MARGIN).any())
+    return "saturated" if at_an_end and abs(value) >= np.abs(readings).max() else "stuck"
 
 
 def _impossible_runs(

@@ -111,6 +111,12 @@ def test_a_repeated_value_is_stuck() -> None:
     assert (finding.kind, finding.suspects) == ("stuck", ("imu1.y",))
 
 
+def test_a_value_held_at_full_scale_is_saturated() -> None:
+    table = changed(triads(3), "imu2.z", 30.0, 33.0, put=-2000.0 * DEG)
+    finding = only(judge(table, CONFIG).findings)
+    assert (finding.kind, finding.suspects) == ("saturated", ("imu2.z",))
+
+
 def test_a_coarse_gyro_at_rest_is_not_stuck() -> None:
     rng = np.random.default_rng(3)
     time_s = np.arange(3000) / 50.0
