@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping
+from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -130,6 +131,8 @@ class JsonLayout:
 
         self._msgspec = msgspec
         self._getters: dict[str, attrgetter[Any]] = {}
+        # Objects of nothing but numbers are taken apart at once, which is twice as fast.
+        self._vectors: list[tuple[attrgetter[Any], list[str]]] = []
         tree: Tree = {}
         for leaf in wanted:
             node = tree
@@ -158,6 +161,9 @@ class JsonLayout:
             else:
                 inner = self._structure(below, (*fields, name), f"{path}{key}.")
                 defined.append((name, inner, msgspec.field(default_factory=inner)))
+        if fields and all(below is None for below in tree.values()):
+            leaves = [f"{path}{key}" for key in tree]
+            self._vectors.append((attrgetter(".".join(fields)), leaves))
         made: type = msgspec.defstruct("Message", defined, rename=names, gc=False)
         return made
 
@@ -174,7 +180,17 @@ class JsonLayout:
             empty = self._message()
             messages = [empty if message is None else message for message in messages]
         columns: Columns = {}
+        for parent, leaves in self._vectors:
+            parts = map(self._msgspec.structs.astuple, map(parent, messages))
+            try:
+                values = np.fromiter(chain.from_iterable(parts), np.float64)
+            except (TypeError, ValueError):  # something is missing, or is a list
+                continue
+            for k, leaf in enumerate(leaves):
+                columns[leaf] = values[k :: len(leaves)].copy()
         for leaf, getter in self._getters.items():
+            if leaf in columns:
+                continue
             try:
                 columns[leaf] = np.fromiter(map(getter, messages), np.float64, len(batch))
             except (TypeError, ValueError):  # something is missing, or is a list
@@ -195,16 +211,18 @@ class JsonLayout:
             return None
 
 
-def _as_list(batch: Batch) -> bytes:
+def _as_list(batch: Batch) -> memoryview:
     """Make one JSON list of all messages: blanks where a row has none of its message."""
-    text = np.full((len(batch), batch.rows.shape[1] - batch.lead + 1), ord(" "), np.uint8)
-    text[:, :-1] = batch.rows[:, batch.lead :]
-    shortest = int(batch.lengths.min(initial=text.shape[1]))
-    tail = np.arange(shortest, text.shape[1]) >= batch.lengths[:, np.newaxis]
-    text[:, shortest:][tail] = ord(" ")
-    text[:, -1] = ord(",")
-    text[-1:, -1] = ord("]")
-    return b"[" + text.tobytes()
+    count, width = len(batch), batch.rows.shape[1] - batch.lead + 1
+    text = np.empty(count * width + 1, np.uint8)
+    rows = text[:-1].reshape(count, width)
+    rows[:, 0] = ord(",")
+    rows[:, 1:] = batch.rows[:, batch.lead :]
+    shortest = int(batch.lengths.min())
+    tail = np.arange(shortest, width - 1) >= batch.lengths[:, np.newaxis]
+    rows[:, 1 + shortest :][tail] = ord(" ")
+    text[0], text[-1] = ord("["), ord("]")
+    return text.data
 
 
 def _uneven(leaf: str, values: list[Any]) -> dict[str, NDArray[np.float64]]:

@@ -165,6 +165,11 @@ def _of_one_length(records: Bytes, offsets: Offsets) -> Batch | None:
         return None
     first = int(offsets[0])
     opcode, length = RECORD.unpack_from(records.data, first)
+    for other in (offsets[len(offsets) // 2], offsets[-1]):  # lengths that vary, vary everywhere
+        if other > len(records) - RECORD.size or (
+            RECORD.unpack_from(records.data, int(other)) != (opcode, length)
+        ):
+            return None
     width = -(-(RECORD.size + length) // 8) * 8
     if opcode != MESSAGE or length < MESSAGE_FIELDS_BYTES or offsets[-1] > len(records) - width:
         return None
