@@ -150,7 +150,9 @@ def test_the_finding_is_told_with_utc_tolerance_and_guarantee() -> None:
     facts = {fact.label: fact.value for fact in report(failed_analysis()).findings[0].facts}
     assert facts["Tolerance"] == "±1 deg/s"
     assert facts["UTC"] == "2024-05-01 13:05:22.3 to 13:05:42.4 UTC"
-    assert facts["Guaranteed"] == "0.8 to 3.2 deg/s as long as the stated bound holds"
+    # No bound was stated, so it is one that was estimated.
+    estimated = "as long as the bound estimated from this log holds"
+    assert facts["Guaranteed"] == f"0.8 to 3.2 deg/s {estimated}"
     assert facts["Agree"] == "difference, guaranteed and parity"
     assert facts["Dissent"] == "none"
 
