@@ -209,12 +209,13 @@ def verdict_sentence(analysis: Analysis) -> str:
         return _failed(analysis)
     if analysis.verdict == "insufficient":
         return f"Nothing could be compared: {_why_nothing(analysis)}."
-    judged = [s for s in analysis.status if s != "insufficient"]
-    unsure = [
-        shown(channel.name)
+    gyros = [
+        (shown(channel.name), status)
         for channel, status in zip(analysis.table.channels, analysis.status, strict=True)
-        if status == "undecided"
+        if not channel.derived
     ]
+    judged = [name for name, status in gyros if status != "insufficient"]
+    unsure = [name for name, status in gyros if status == "undecided"]
     tolerance = f"{figure(analysis.config.tolerance.bias_deg_s)} deg/s"
     if analysis.verdict == "healthy":
         return (
