@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog_readers.columns import Bytes
 from fdilog_readers.message_batch import Batch, Columns, Mask
 from fdilog_readers.message_schema import SEQUENCE, Field, Schema, UnknownTypeError
 
@@ -211,18 +212,30 @@ class JsonLayout:
             return None
 
 
-def _as_list(batch: Batch) -> memoryview:
-    """Make one JSON list of all messages: blanks where a row has none of its message."""
-    count, width = len(batch), batch.rows.shape[1] - batch.lead + 1
-    text = np.empty(count * width + 1, np.uint8)
-    rows = text[:-1].reshape(count, width)
-    rows[:, 0] = ord(",")
-    rows[:, 1:] = batch.rows[:, batch.lead :]
-    shortest = int(batch.lengths.min())
-    tail = np.arange(shortest, width - 1) >= batch.lengths[:, np.newaxis]
-    rows[:, 1 + shortest :][tail] = ord(" ")
-    text[0], text[-1] = ord("["), ord("]")
-    return text.data
+def _as_list(batch: Batch) -> bytes | memoryview:
+    """Make one JSON list of all messages, in place: blanks where a row has none of its message."""
+    width = batch.rows.shape[1]
+    rows = batch.rows if batch.rows.flags.writeable and batch.lead else _with_room(batch)
+    lead = rows.shape[1] - width + batch.lead
+    ends = lead + batch.lengths
+    rows[:, :lead] = ord(" ")
+    rows[1:, 0] = ord(",")
+    rows[0, 0] = ord("[")
+    shortest = int(ends.min())
+    tail = np.arange(shortest, rows.shape[1]) >= ends[:, np.newaxis]
+    rows[:, shortest:][tail] = ord(" ")
+    if ends[-1] == rows.shape[1]:
+        return rows.tobytes() + b"]"
+    rows[-1, -1] = ord("]")
+    return rows.reshape(-1).data
+
+
+def _with_room(batch: Batch) -> Bytes:
+    """Copy rows to others with a byte more before the message."""
+    count, width = batch.rows.shape
+    rows = np.empty((count, width + 1), np.uint8)
+    rows[:, 1:] = batch.rows
+    return rows
 
 
 def _uneven(leaf: str, values: list[Any]) -> dict[str, NDArray[np.float64]]:

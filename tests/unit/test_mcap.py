@@ -15,6 +15,8 @@ from mcap.writer import CompressionType, IndexType
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Recording
 from fdilog_readers import chunks, mcap
+from fdilog_readers.json_layout import JsonLayout
+from fdilog_readers.message_batch import Batch
 from tests import bags
 from tests.bags import IMU, assert_part, assert_same, by_time, losses, readings, stream
 
@@ -345,6 +347,21 @@ def test_json_numbers_that_are_none_or_missing_are_no_samples(tmp_path: Path) ->
     assert np.array_equal(found.columns["angular_velocity.y"], [2, -np.inf, np.nan, 1], True)
     assert found.time_ns.tolist() == [10**9, 2 * 10**9, 3 * 10**9, 7 * 10**9]
     assert losses(recording) == ["3 messages on /g do not fit their type "]
+
+
+@pytest.mark.parametrize("lead", [0, 31])
+def test_json_messages_of_any_lengths_stand_side_by_side(lead: int) -> None:
+    layout = JsonLayout(["x"])
+    for longest in range(8, 44):
+        texts = [b'{"x":%d%s}' % (k, b" " * (k * longest // 3)) for k in range(4)]
+        lengths = np.array([len(text) for text in texts])
+        for spare in (0, 1, 5):
+            rows = np.full((4, lead + int(lengths.max()) + spare), ord("]"), np.uint8)
+            for row, text in zip(rows, texts, strict=True):
+                row[lead : lead + len(text)] = np.frombuffer(text, np.uint8)
+            columns, fits = layout.columns(Batch(rows, lead, lengths))
+            assert fits.all()
+            assert columns["x"].tolist() == [0, 1, 2, 3]
 
 
 def test_a_rate_given_as_a_list_is_a_gyro(tmp_path: Path) -> None:
