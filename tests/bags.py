@@ -25,12 +25,14 @@ Message = tuple[str, int, bytes]
 
 @functools.cache
 def store(ros: int = 2) -> Any:
-    """Message types and serialisers of ROS 1 or 2, with one custom type that holds two Imus."""
+    """Message types and serialisers of ROS 1 or 2, with custom types that hold Imus."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     types = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
     text = "std_msgs/Header header\nstring label\nsensor_msgs/Imu imu\nsensor_msgs/Imu[2] pair\n"
     types.register(get_types_from_msg(text, "test_msgs/msg/Nested"))
+    text = "std_msgs/Header header\nstring[] names\nsensor_msgs/Imu[] imus\nuint8 flag\n"
+    types.register(get_types_from_msg(text, "test_msgs/msg/Several"))
     text = "string[] names\nfloat32[3] angular_velocity\nuint8 flag\nfloat64[] data\n"
     types.register(get_types_from_msg(text, "test_msgs/msg/Custom"))
     return types

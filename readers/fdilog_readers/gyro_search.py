@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from fdilog.recording import Origin
-from fdilog_readers.message_schema import NUMBERS, SEQUENCE, TIME, Field, Schema
+from fdilog_readers.message_schema import NUMBERS, SEQUENCE, Field, Schema
 
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 
@@ -106,7 +106,8 @@ def find_gyros(schema: Schema, name: str) -> tuple[Gyro, ...]:
     if known not in ATTITUDES:
         return gyros
     *path, last = ATTITUDES[known]
-    item = next((f for f in schema[_type_at(schema, name, path)] if f.name == last), None)
+    fields = schema.get(_type_at(schema, name, path), ())
+    item = next((f for f in fields if f.name == last), None)
     attitude = _vector(schema, item, tuple(path), WXYZ)
     if gyros and attitude:
         return (replace(gyros[0], attitude=attitude), *gyros[1:])
@@ -118,7 +119,37 @@ def find_gyros(schema: Schema, name: str) -> tuple[Gyro, ...]:
 def _type_at(schema: Schema, name: str, path: list[str]) -> str:
     for part in path:
         name = next((f.type for f in schema.get(name, ()) if f.name == part), "")
-    return name if name in schema else TIME
+    return name
+
+
+def lists_of_gyros(schema: Schema, name: str) -> tuple[tuple[str, str, str], ...]:
+    """Return the lists whose elements hold a gyro: their path, and the type and field they are."""
+    return tuple(_lists(schema, name, (), ()))
+
+
+def _lists(
+    schema: Schema, name: str, path: tuple[str, ...], above: tuple[str, ...]
+) -> Iterator[tuple[str, str, str]]:
+    if name in above or len(path) > MAX_DEPTH:
+        return
+    for item in schema.get(name, ()):
+        if item.length == SEQUENCE and any(_search(schema, item.type, (), (), ())):
+            yield ".".join((*path, item.name)), name, item.name
+        elif item.length is None:
+            yield from _lists(schema, item.type, (*path, item.name), (*above, name))
+
+
+def with_lengths(schema: Schema, lengths: Mapping[tuple[str, str], int]) -> Schema:
+    """Return a schema in which some lists, by type and field, have as many elements as given."""
+    return {
+        name: tuple(
+            replace(item, length=lengths[name, item.name], counted=True)
+            if (name, item.name) in lengths
+            else item
+            for item in fields
+        )
+        for name, fields in schema.items()
+    }
 
 
 def ros_name(name: str) -> str:

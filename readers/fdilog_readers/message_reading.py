@@ -6,10 +6,19 @@ import re
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from fdilog.recording import Problem
-from fdilog_readers.gyro_search import find_gyros, number_leaves, stamps_at
+from fdilog_readers.gyro_search import (
+    MAX_UNROLLED,
+    find_gyros,
+    lists_of_gyros,
+    number_leaves,
+    stamps_at,
+    with_lengths,
+)
 from fdilog_readers.json_layout import JsonLayout, json_schema, schema_of
-from fdilog_readers.message_batch import Layout
+from fdilog_readers.message_batch import Batch, Layout
 from fdilog_readers.message_schema import Schema, UnknownTypeError, ros_schema, short_name
 from fdilog_readers.protobuf_layout import ProtobufLayout, protobuf_schema
 from fdilog_readers.ros_layout import RosLayout
@@ -57,6 +66,13 @@ def _reading(
         text = definition.decode(errors="replace")
         schema, root = ros_schema(root, schema_encoding, text, ros), short_name(root)
         layout = partial(RosLayout, packed=ros == 1)
+        if lists := lists_of_gyros(schema, root):
+            # Nothing but a message tells how many sensors there are in a list of them.
+            counter = layout(schema, root, {f"#{path}" for path, _, _ in lists})
+            topic.probe = lambda raw: _plan(
+                topic, also, with_lengths(schema, _lengths(raw, counter, lists)), root, layout
+            )
+            return None
     elif message_encoding == "protobuf":
         schema, layout = protobuf_schema(definition), ProtobufLayout
     elif message_encoding == "json":
@@ -89,6 +105,20 @@ def _plan(
     leaves = {leaf for gyro in gyros for leaf in gyro.leaves} | set(others)
     leaves |= {leaf for stamp in stamps for leaf in (stamp.seconds, stamp.nanoseconds)}
     return Reading(layout(schema, root, leaves), gyros, others, stamps)
+
+
+def _lengths(
+    raw: bytes, counter: Layout, lists: tuple[tuple[str, str, str], ...]
+) -> dict[tuple[str, str], int]:
+    """Return how long the lists are in one message, up to what is worth unrolling."""
+    rows = np.frombuffer(raw, np.uint8).reshape(1, -1)
+    columns, _ = counter.columns(Batch(rows, 0, np.array([len(raw)])))
+    counts = {(kind, field): columns.get(f"#{path}") for path, kind, field in lists}
+    return {
+        place: int(count[0])
+        for place, count in counts.items()
+        if count is not None and 0 < count[0] <= MAX_UNROLLED
+    }
 
 
 def _json_layout(_schema: Schema, _root: str, leaves: set[str]) -> Layout:

@@ -34,6 +34,8 @@ class Field:
         A key of ``NUMBERS``, ``string``, ``wstring``, or the name of another type.
     length
         None for one value, n for a fixed array, ``SEQUENCE`` for a list of any length.
+    counted
+        Whether it is a list all the same, which has ``length`` elements in every message.
     number
         The field's number in Protobuf.
     encoding
@@ -43,6 +45,7 @@ class Field:
     name: str
     type: str
     length: int | None = None
+    counted: bool = False
     number: int = field(default=0, compare=False)
     encoding: str = field(default="", compare=False)
 

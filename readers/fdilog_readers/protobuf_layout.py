@@ -89,8 +89,8 @@ def _field(described: dict[int, int | bytes]) -> Field:
         _text(described.get(1, b"")),
         type_name,
         length,
-        number if isinstance(number, int) else 0,
-        encoding,
+        number=number if isinstance(number, int) else 0,
+        encoding=encoding,
     )
 
 

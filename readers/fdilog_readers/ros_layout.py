@@ -78,9 +78,17 @@ class _Loop:
     """A length, and so many elements whose own size varies."""
 
     steps: list[_Step]
+    leaf: str = ""
 
 
-_Step = _Block | _Run | _Loop
+@dataclass
+class _Count:
+    """A length that is the same in every message; the elements follow as steps of their own."""
+
+    length: int
+
+
+_Step = _Block | _Run | _Loop | _Count
 
 
 class RosLayout:
@@ -90,7 +98,7 @@ class RosLayout:
     ----------
     wanted
         Dotted paths: ``imu.angular_velocity.x``, ``data[2]``; the path of a list of numbers alone
-        means every element.
+        means every element, and ``#imus`` the length of a list of structures.
     packed
         ROS 1 serialisation: no alignment, no encapsulation.
     """
@@ -193,10 +201,14 @@ class _Compiler:
                 self._number(item.type, path, item.length)
         elif item.length == SEQUENCE:
             size, align = self._even(item.type)
-            self._run(_Run(size, align) if size else _Loop(self._element(item.type, above)))
+            leaf = f"#{path}" if f"#{path}" in self.wanted else ""
+            run = _Run(size, align, leaf) if size else _Loop(self._element(item.type, above), leaf)
+            self._run(run)
         elif item.length is not None:
             if item.length > MAX_UNROLLED:
                 raise UnknownTypeError(f"{path} is an array of {item.length} structures")
+            if item.counted:
+                self._run(_Count(item.length))
             for k in range(item.length):
                 self._field(Field(item.name, item.type), f"{path}[{k}]", above)
         elif item.type == "string":
@@ -222,7 +234,7 @@ class _Compiler:
                 self.block.leaves.append((f"{path}[{k}]", NUMBERS[kind], start + k * size))
         self.block.size = start + size * (1 if length is None else length)
 
-    def _run(self, step: _Run | _Loop) -> None:
+    def _run(self, step: _Run | _Loop | _Count) -> None:
         self._close(1)
         self.steps.append(step)
 
@@ -295,8 +307,10 @@ class _Walk:
                 self.at = self.at + step.size
             elif isinstance(step, _Run):
                 self._run(step)
-            else:
+            elif isinstance(step, _Loop):
                 self._loop(step)
+            else:
+                self.fits &= self._count(1) == step.length
 
     def _block(self, step: _Block) -> None:
         rows = self.batch.rows
@@ -368,8 +382,11 @@ class _Walk:
             self._align(step.align)
             self.at = np.where(count > 0, self.at, before)
         if step.leaf:
-            self._list(step, count)
+            self._note(step.leaf, count) if not step.number else self._list(step, count)
         self.at = self.at + count * step.size
+
+    def _note(self, leaf: str, count: Cursor) -> None:
+        self.columns[leaf] = np.broadcast_to(np.asarray(count, np.int64), len(self.batch))
 
     def _list(self, step: _Run, count: Cursor) -> None:
         """Copy the elements of a list; those that a message lacks are not-a-number."""
@@ -382,6 +399,8 @@ class _Walk:
 
     def _loop(self, step: _Loop) -> None:
         count = self._count(1)
+        if step.leaf:
+            self._note(step.leaf, count)
         self.fits &= count <= MAX_LOOPS
         for k in range(min(int(np.max(count)), MAX_LOOPS)):
             here = (count > k) & self.fits

@@ -18,6 +18,9 @@ from fdilog_readers.message_batch import Batch, Columns, Layout
 # What other formats call the parts of an attitude.
 ATTITUDE_NAMES = ("qw", "qx", "qy", "qz")
 
+# In so many places of a log it is looked whether a topic holds a gyro after all.
+PROBES = 10
+
 UNIX_2000_NS = 946_684_800_000_000_000
 
 
@@ -63,6 +66,7 @@ class Topic:
     tried: bool = False
     probe: Callable[[bytes], Reading | None] | None = None
     misfits: int = 0
+    _probes: int = PROBES
     _pending: list[tuple[Batch, NDArray[np.int64]]] = field(default_factory=list)
     _pending_bytes: int = 0
     _pieces: list[Columns] = field(default_factory=list)
@@ -74,10 +78,8 @@ class Topic:
 
     def add(self, batch: Batch, times_ns: NDArray[np.int64]) -> None:
         """Take messages and the times at which they were recorded. [ns]"""
-        if self.probe is not None and len(batch):
-            end = batch.lead + int(batch.lengths[0])
-            self.reading = self.probe(batch.rows[0, batch.lead : end].tobytes())
-            self.probe = None
+        if self.probe is not None and self.reading is None:
+            self._look_at(batch, self.probe)
         if self.reading is None:
             return
         if self._pending and not self._pending[0][0].is_like(batch):
@@ -86,6 +88,15 @@ class Topic:
         self._pending_bytes += batch.rows.size
         if self._pending_bytes >= self.reading.layout.batch_bytes:
             self.decode()
+
+    def _look_at(self, batch: Batch, probe: Callable[[bytes], Reading | None]) -> None:
+        """Find out from messages what is in them; a list of sensors may be empty at first."""
+        for row in sorted({0, len(batch) // 2, len(batch) - 1}):
+            end = batch.lead + int(batch.lengths[row])
+            self.reading = self.reading or probe(batch.rows[row, batch.lead : end].tobytes())
+        self._probes -= 1
+        if self.reading is not None or not self._probes:
+            self.probe = None
 
     def decode(self) -> None:
         """Turn what has come together into columns."""

@@ -160,6 +160,26 @@ def test_imus_inside_other_messages_are_streams_of_their_own(tmp_path: Path) -> 
         assert stream(recording, name).clock.endswith("header.stamp")
 
 
+@pytest.mark.parametrize("ros", [1, 2])
+def test_a_list_of_imus_is_a_stream_for_each(tmp_path: Path, ros: int) -> None:
+    name = "test_msgs/msg/Several"
+    kind = bags.store(ros).types[name]
+    messages = []
+    for k in range(80):
+        imus = [bags.imu(LEFT, k, "x" * (k % 4), ros), bags.imu(RIGHT, k, "y" * (k % 3), ros)]
+        if k == 50:  # one of the sensors was silent
+            imus = imus[:1]
+        made = kind(bags.header(int(LEFT.stamp_ns[k]), "", ros), ["a"] * (k % 3), imus, 1)
+        messages.append(("/units", int(LEFT.log_ns[k]), bags.serialise(made, name, ros)))
+    path = bags.write_mcap(tmp_path / "s.mcap", messages, {"/units": name}, ros=ros)
+    recording = mcap.read(path)
+    assert [s.name for s in recording.streams] == ["/units:imus[0]", "/units:imus[1]"]
+    keep = np.setdiff1d(np.arange(80), [50])
+    assert_same(stream(recording, "/units:imus[0]"), LEFT, keep)
+    assert_same(stream(recording, "/units:imus[1]"), RIGHT, keep)
+    assert losses(recording) == [f"1 messages on /units do not fit their type {name}"]
+
+
 def test_a_constant_inner_stamp_gives_way_to_the_outer_one_and_says_so(tmp_path: Path) -> None:
     types = {"/unit": "test_msgs/msg/Nested"}
     recording = mcap.read(bags.write_mcap(tmp_path / "n.mcap", nested(90, 5), types))
