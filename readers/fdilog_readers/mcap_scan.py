@@ -44,6 +44,7 @@ from fdilog_readers.mcap_records import (
 
 LOOSE_BYTES = 4 << 20
 SEARCH_BYTES = 1 << 20
+HEAD_BYTES = 128
 
 # A channel or schema record longer than this is no definition; the largest in use are below 1 MB.
 DEFINITION_BYTES = 16 << 20
@@ -60,6 +61,8 @@ class Contents:
     problems: list[Problem] = field(default_factory=list)
     data_crc: int = 0
     data_end: int = 0
+    checked: bool | None = None
+    """Whether chunks have checksums; None until one has been seen."""
 
     def define(self, opcode: int, content: bytes | memoryview) -> None:
         """Take a Schema or Channel record, which may stand at the top, in a chunk or at the end.
@@ -165,7 +168,7 @@ def walk(data: FileBytes, contents: Contents) -> Iterator[ChunkPlace | Loose]:
             offsets, taken = MessageChain(buffer).follow(0)
             yield Loose(buffer, offsets)
             at += taken
-        elif opcode == CHUNK and _is_chunk(data, at) and end <= data.size:
+        elif opcode == CHUNK and _is_chunk(data, contents, at) and end <= data.size:
             yield ChunkPlace(at, RECORD.size + length)
             at = end
         elif opcode not in {MESSAGE, CHUNK, DATA_END} and _is_known(opcode) and end <= data.size:
@@ -179,11 +182,12 @@ def _is_known(opcode: int) -> bool:
     return 0 < opcode <= DATA_END or opcode >= PRIVATE
 
 
-def _is_chunk(data: FileBytes, at: int) -> bool:
+def _is_chunk(data: FileBytes, contents: Contents, at: int) -> bool:
     try:
-        parse_chunk_head(data.at(at, 128))
+        head = parse_chunk_head(data.at(at, HEAD_BYTES))
     except DamagedRecordError:
         return False
+    contents.checked = bool(contents.checked or head.crc)
     return True
 
 
@@ -202,35 +206,49 @@ def _look_at(data: FileBytes, contents: Contents, at: int, opcode: int, length: 
 
 
 def _resynchronise(data: FileBytes, contents: Contents, at: int) -> int:
-    """Find where records go on after damage, and say how much was lost."""
-    found = data.size
-    limit = contents.data_end
-    start = at + 1
-    while start < limit:
-        window = np.frombuffer(data.at(start, SEARCH_BYTES), np.uint8)
-        place = _first_record(data, contents, window, start)
-        if place is not None:
-            found = place
-            break
-        start += max(1, len(window) - 64)  # a record's beginning may lie across two windows
-        if len(window) < SEARCH_BYTES:
-            break
+    """Find where records go on after damage, and say how much was lost.
+
+    Where chunks have checksums, messages that are found in what may be the rest of one are not
+    believed: nothing tells that they are whole.
+    """
+    if contents.checked is None:
+        first = next(iter(contents.places), None)
+        if first is None:
+            first = _search(data, contents, at, (CHUNK,))
+        contents.checked = False
+        if first is not None:
+            _is_chunk(data, contents, first)
+    ends = (CHUNK, MESSAGE_INDEX, DATA_END, FOOTER)
+    place = _search(data, contents, at, ends if contents.checked else (MESSAGE, *ends))
     known = [start for start in contents.places if start > at]
-    found = min([found, limit, *known])
+    found = min([place or data.size, contents.data_end, *known])
     what = "a damaged part" if found < data.size else "the file ends inside a record"
     contents.problems.append(Problem(what=what, offset=at, bytes_lost=found - at))
     return found
 
 
-def _first_record(data: FileBytes, contents: Contents, window: Bytes, start: int) -> int | None:
+def _search(data: FileBytes, contents: Contents, at: int, kinds: tuple[int, ...]) -> int | None:
+    """Return the next place at which a record of one of these kinds surely begins."""
+    start = at + 1
+    while start < contents.data_end:
+        window = np.frombuffer(data.at(start, SEARCH_BYTES), np.uint8)
+        place = _first_record(data, contents, window, start, kinds)
+        if place is not None or len(window) < SEARCH_BYTES:
+            return place
+        start += len(window) - 64  # a record's beginning may lie across two windows
+    return None
+
+
+def _first_record(
+    data: FileBytes, contents: Contents, window: Bytes, start: int, kinds: tuple[int, ...]
+) -> int | None:
     """Return the first place in a window at which a record surely begins.
 
     Chunks, message indexes and the ends carry their length twice; a message must be of a known
     channel and be followed by another record.
     """
-    opcodes = np.array([MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END, FOOTER], np.uint8)
     room = max(0, len(window) - RECORD.size)
-    places = np.flatnonzero(np.isin(window[:room], opcodes))
+    places = np.flatnonzero(np.isin(window[:room], np.array(kinds, np.uint8)))
     if not len(places):
         return None
     lengths = np.ndarray((room,), "<u8", window, 1, (1,))[places]
@@ -248,7 +266,7 @@ def _first_record(data: FileBytes, contents: Contents, window: Bytes, start: int
 
 def _surely(data: FileBytes, contents: Contents, opcode: int, at: int, end: int) -> bool:
     length = end - at - RECORD.size
-    head = read_at(data.file, 128, at)
+    head = read_at(data.file, HEAD_BYTES, at)
     if opcode == CHUNK:
         try:
             parse_chunk_head(head)

@@ -570,6 +570,23 @@ def test_a_cut_file_gives_every_whole_chunk_before_the_cut(whole: Path, tmp_path
         assert [p.bytes_lost for p in inside] == [length // 2]
 
 
+@pytest.mark.parametrize("checked", [True, False])
+def test_of_a_cut_chunk_only_what_needs_no_checksum_is_believed(
+    tmp_path: Path, checked: bool
+) -> None:
+    path = bags.write_mcap(
+        tmp_path / "c.mcap", two(), TWO, compression=CompressionType.NONE, enable_crcs=checked
+    )
+    last = chunk_places(path)[4]
+    raw = path.read_bytes()
+    path.write_bytes(raw[: last.chunk_start_offset + last.chunk_length // 2])
+    recording = mcap.read(path)
+    before = sum(imus.log_ns.searchsorted(last.message_start_time) for imus in (LEFT, RIGHT))
+    assert (both(recording) > before) == (not checked)
+    assert both(recording) >= before
+    assert any("not closed" in what for what in losses(recording))
+
+
 def test_a_cut_file_of_loose_messages_gives_every_one_before_the_cut(tmp_path: Path) -> None:
     path = bags.write_mcap(tmp_path / "u.mcap", two(), TWO, use_chunking=False)
     raw = path.read_bytes()
