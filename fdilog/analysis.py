@@ -217,7 +217,7 @@ def judge(
     """
     from fdilog import decision
     from fdilog import findings as of
-    from fdilog.biases import bias_findings
+    from fdilog.biases import bias_findings, scale_findings
     from fdilog.registry import detectors, plugins
     from fdilog.windows import Survey, cut, spans
 
@@ -258,6 +258,7 @@ def judge(
     compared = [item for item in compared if item.kind == "bias"]
     hearing = None if witness is None else _hearing(witness, testified, config)
     biased = bias_findings(heard, sound, compared, config, hearing)
+    biased += scale_findings(heard, sound, calibration, biased, config)
     findings = [
         *of.self_evident_findings(gyros, alone),
         *of.noise_findings(heard, noisy),
