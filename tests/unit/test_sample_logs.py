@@ -19,6 +19,8 @@ from fdilog.sources import choose
 
 KILOBYTE = 1000
 
+TRUTH = Path(__file__).parents[2] / "sample_logs" / "truth.json"
+
 
 @pytest.fixture(scope="module")
 def script(sample_logs: Path) -> ModuleType:
@@ -88,3 +90,21 @@ def test_the_damaged_log_has_lost_bytes(sample_logs: Path) -> None:
     recording = read(sample_logs / "damaged.bin")
     lost = [problem for problem in recording.problems if not problem.note]
     assert sum(problem.bytes_lost or 0 for problem in lost) >= 500
+
+
+@pytest.mark.parametrize("name", sorted(json.loads(TRUTH.read_text(encoding="utf-8"))))
+def test_the_analysis_says_what_is_true_of_a_sample_log(sample_logs: Path, name: str) -> None:
+    from fdilog.analysis import analyse
+    from fdilog.config import Config, read_geometry
+
+    said = json.loads(TRUTH.read_text(encoding="utf-8"))[name]
+    options = said["options"]
+    config = Config()
+    if "--geometry" in options:
+        config = read_geometry(config, options[options.index("--geometry") + 1])
+    analysis = analyse(sample_logs / name, config)
+    assert analysis.verdict == said["verdict"]
+    accused = {finding.suspects for finding in analysis.findings}
+    assert accused == {tuple(suspects) for suspects in said["suspects"]}
+    kinds = {fault["kind"] for fault in said["faults"]}
+    assert {finding.kind for finding in analysis.findings} == kinds
