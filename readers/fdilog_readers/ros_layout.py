@@ -8,18 +8,25 @@ which is nearly always, the cursor is one number and a column is one strided cop
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
-from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fdilog_readers.message_batch import Batch, Columns, Mask
-from fdilog_readers.message_schema import NUMBERS, SEQUENCE, Field, Schema, UnknownTypeError
+from fdilog_readers.message_schema import Schema
+from fdilog_readers.ros_steps import (
+    Block,
+    Compiler,
+    Loop,
+    Order,
+    Run,
+    Step,
+    number_type,
+    without_costly_tail,
+)
 
 Cursor = int | NDArray[np.int64]
-Order = Literal["<", ">"]
 
 # Second byte of the four before a CDR message (DDS-XTypes 1.3, table 59): byte order, and how far
 # numbers are aligned. What is not here (parameter lists, delimited types) ROS does not write.
@@ -37,58 +44,8 @@ ZSTD_MAGIC = 0xFD2FB528
 MESSAGE_BYTES = 16 << 20
 BATCH_BYTES = 64 << 20
 
-# A fixed array of structures longer than this is no place to look for a sensor.
-MAX_UNROLLED = 4096
 MAX_LIST_COLUMNS = 64
 MAX_LOOPS = 4096
-
-
-@dataclass
-class _Block:
-    """Bytes at fixed places, after the cursor has been aligned."""
-
-    align: int
-    size: int = 0
-    leaves: list[tuple[str, str, int]] = field(default_factory=list)
-    _records: dict[Order, np.dtype[Any]] = field(default_factory=dict, init=False, repr=False)
-
-    def record(self, order: Order) -> np.dtype[Any]:
-        """Return the block as a structure of its wanted leaves."""
-        if order not in self._records:
-            names, numbers, offsets = zip(*self.leaves, strict=True) if self.leaves else ((),) * 3
-            formats = [_number_type(number, order) for number in numbers]
-            self._records[order] = np.dtype(
-                {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size}
-            )
-        return self._records[order]
-
-
-@dataclass
-class _Run:
-    """A length, and so many elements of one fixed size; a string is a run of bytes."""
-
-    size: int
-    align: int
-    leaf: str = ""
-    number: str = ""
-
-
-@dataclass
-class _Loop:
-    """A length, and so many elements whose own size varies."""
-
-    steps: list[_Step]
-    leaf: str = ""
-
-
-@dataclass
-class _Count:
-    """A length that is the same in every message; the elements follow as steps of their own."""
-
-    length: int
-
-
-_Step = _Block | _Run | _Loop | _Count
 
 
 class RosLayout:
@@ -110,14 +67,14 @@ class RosLayout:
         self._name = name
         self._wanted = {leaf.rpartition("[")[0] if leaf.endswith("]") else leaf for leaf in wanted}
         self._packed = packed
-        self._compiled: dict[int, tuple[list[_Step], bool]] = {}
+        self._compiled: dict[int, tuple[list[Step], bool]] = {}
         self._steps(1 if packed else 8)
 
-    def _steps(self, max_align: int) -> tuple[list[_Step], bool]:
+    def _steps(self, max_align: int) -> tuple[list[Step], bool]:
         """Return the steps, and whether they lead to the message's end."""
         if max_align not in self._compiled:
-            steps = _Compiler(self._schema, self._wanted, max_align).compile(self._name)
-            short = _without_costly_tail(steps)
+            steps = Compiler(self._schema, self._wanted, max_align).compile(self._name)
+            short = without_costly_tail(steps)
             self._compiled[max_align] = (short, len(short) == len(steps))
         return self._compiled[max_align]
 
@@ -163,127 +120,6 @@ class RosLayout:
         return self._walk(batch, CDR_HEAD, *ENCAPSULATIONS[kind])
 
 
-class _Compiler:
-    def __init__(self, schema: Schema, wanted: Collection[str], max_align: int) -> None:
-        self.schema = schema
-        self.wanted = wanted
-        self.max_align = max_align
-        self.steps: list[_Step] = []
-        self.block = _Block(max_align)
-
-    def compile(self, name: str) -> list[_Step]:
-        self._type(name, "", ())
-        self._close(1)
-        return self.steps
-
-    def _close(self, align: int) -> None:
-        """End the block of fixed places; of what follows only this alignment is known."""
-        if self.block.size:
-            self.steps.append(self.block)
-        self.block = _Block(align)
-
-    def _type(self, name: str, path: str, above: tuple[str, ...]) -> None:
-        if name in above:
-            raise UnknownTypeError(f"{name} holds itself")
-        fields = self.schema[name]
-        if not fields and self.max_align > 1:
-            self._number("uint8", "", 1)  # CDR has no empty structures
-        for item in fields:
-            self._field(item, f"{path}{item.name}", (*above, name))
-
-    def _field(self, item: Field, path: str, above: tuple[str, ...]) -> None:
-        if item.type in NUMBERS:
-            if item.length == SEQUENCE:
-                leaf = path if path in self.wanted else ""
-                size = np.dtype(NUMBERS[item.type]).itemsize
-                self._run(_Run(size, min(size, self.max_align), leaf, NUMBERS[item.type]))
-            else:
-                self._number(item.type, path, item.length)
-        elif item.length == SEQUENCE:
-            size, align = self._even(item.type)
-            leaf = f"#{path}" if f"#{path}" in self.wanted else ""
-            run = _Run(size, align, leaf) if size else _Loop(self._element(item.type, above), leaf)
-            self._run(run)
-        elif item.length is not None:
-            if item.length > MAX_UNROLLED:
-                raise UnknownTypeError(f"{path} is an array of {item.length} structures")
-            if item.counted:
-                self._run(_Count(item.length))
-            for k in range(item.length):
-                self._field(Field(item.name, item.type), f"{path}[{k}]", above)
-        elif item.type == "string":
-            self._run(_Run(1, 1))
-        elif item.type in self.schema:
-            self._type(item.type, f"{path}.", above)
-        else:
-            raise UnknownTypeError(f"{path} is of the type {item.type}")
-
-    def _number(self, kind: str, path: str, length: int | None) -> None:
-        size = np.dtype(NUMBERS[kind]).itemsize
-        align = min(size, self.max_align)
-        if align > self.block.align:
-            self._close(align)
-        if length == 0:
-            return
-        start = -(-self.block.size // align) * align
-        if length is None:
-            if path in self.wanted:
-                self.block.leaves.append((path, NUMBERS[kind], start))
-        else:
-            for k in range(length) if path in self.wanted else ():
-                self.block.leaves.append((f"{path}[{k}]", NUMBERS[kind], start + k * size))
-        self.block.size = start + size * (1 if length is None else length)
-
-    def _run(self, step: _Run | _Loop | _Count) -> None:
-        self._close(1)
-        self.steps.append(step)
-
-    def _element(self, name: str, above: tuple[str, ...]) -> list[_Step]:
-        inner = _Compiler(self.schema, (), self.max_align)
-        inner.block = _Block(1)
-        inner._field(Field("", name), "", above)
-        inner._close(1)
-        return inner.steps
-
-    def _even(self, name: str) -> tuple[int, int]:
-        """Return size and alignment of a type made of numbers of one size, else zeros.
-
-        Only then do the elements of a list lie at equal distances wherever it begins.
-        """
-        sizes: list[int] = []
-        if not self._collect_sizes(name, sizes, ()):
-            return 0, 0
-        aligns = {min(size, self.max_align) for size in sizes}
-        return (sum(sizes), aligns.pop()) if len(aligns) == 1 else (0, 0)
-
-    def _collect_sizes(self, name: str, sizes: list[int], above: tuple[str, ...]) -> bool:
-        if name not in self.schema or name in above or not self.schema[name]:
-            return False
-        for item in self.schema[name]:
-            count = 1 if item.length is None else item.length
-            if count == SEQUENCE or len(sizes) + count > MAX_UNROLLED:
-                return False
-            if item.type in NUMBERS:
-                sizes += [np.dtype(NUMBERS[item.type]).itemsize] * count
-            else:
-                for _ in range(count):
-                    if not self._collect_sizes(item.type, sizes, (*above, name)):
-                        return False
-        return True
-
-
-def _without_costly_tail(steps: list[_Step]) -> list[_Step]:
-    """Leave out what follows the last wanted leaf if only a walk could tell how long it is."""
-    wanted = [k for k, s in enumerate(steps) if getattr(s, "leaves", ()) or getattr(s, "leaf", "")]
-    end = wanted[-1] + 1 if wanted else 0
-    return steps[:end] if any(isinstance(s, _Loop) for s in steps[end:]) else steps
-
-
-@cache
-def _number_type(number: str, order: Order) -> np.dtype[Any]:
-    return np.dtype(number).newbyteorder(order)
-
-
 class _Walk:
     """All messages of a batch, walked through together."""
 
@@ -298,21 +134,21 @@ class _Walk:
         self.columns: Columns = {}
         self._row_starts: NDArray[np.int64] | None = None
 
-    def take(self, steps: list[_Step]) -> None:
+    def take(self, steps: list[Step]) -> None:
         for step in steps:
-            if isinstance(step, _Block):
+            if isinstance(step, Block):
                 self._align(step.align)
                 self._require(step.size)
                 self._block(step)
                 self.at = self.at + step.size
-            elif isinstance(step, _Run):
+            elif isinstance(step, Run):
                 self._run(step)
-            elif isinstance(step, _Loop):
+            elif isinstance(step, Loop):
                 self._loop(step)
             else:
                 self.fits &= self._count(1) == step.length
 
-    def _block(self, step: _Block) -> None:
+    def _block(self, step: Block) -> None:
         rows = self.batch.rows
         if not isinstance(self.at, int) or (
             self.batch.lead + self.head + self.at + step.size > rows.shape[1]
@@ -341,7 +177,7 @@ class _Walk:
 
     def _read(self, number: str, offset: int) -> NDArray[Any]:
         """Copy the number that lies at this distance from every message's cursor."""
-        kind = _number_type(number, self.order)
+        kind = number_type(number, self.order)
         rows = self.batch.rows
         if isinstance(self.at, int):
             place = self.head + self.at + offset
@@ -372,7 +208,7 @@ class _Walk:
         first = int(counts[0]) if len(counts) else 0
         return first if (counts == first).all() else counts
 
-    def _run(self, step: _Run) -> None:
+    def _run(self, step: Run) -> None:
         count = self._count(step.size)
         if isinstance(count, int):
             if count:
@@ -388,7 +224,7 @@ class _Walk:
     def _note(self, leaf: str, count: Cursor) -> None:
         self.columns[leaf] = np.broadcast_to(np.asarray(count, np.int64), len(self.batch))
 
-    def _list(self, step: _Run, count: Cursor) -> None:
+    def _list(self, step: Run, count: Cursor) -> None:
         """Copy the elements of a list; those that a message lacks are not-a-number."""
         longest = int(np.max(count)) if len(self.batch) else 0
         for k in range(min(longest, MAX_LIST_COLUMNS)):
@@ -397,7 +233,7 @@ class _Walk:
                 values = np.where(count > k, values.astype(np.float64), np.nan)
             self.columns[f"{step.leaf}[{k}]"] = values
 
-    def _loop(self, step: _Loop) -> None:
+    def _loop(self, step: Loop) -> None:
         count = self._count(1)
         if step.leaf:
             self._note(step.leaf, count)
