@@ -272,7 +272,7 @@ def effect(before: ChannelTable, after: ChannelTable, fault: Fault) -> float:
     if fault.kind == "dropout" or len(before.time_s) != len(after.time_s):
         return float("nan")
     column = before.names.index(fault.channel)
-    apart = (after.rate_rad_s - before.rate_rad_s)[:, column]
+    apart = (after.gyros.rate_rad_s - before.gyros.rate_rad_s)[:, column]
     changed = np.nan_to_num(apart) != 0.0
     return float(np.degrees(np.sqrt((apart[changed] ** 2).mean()))) if changed.any() else 0.0
 
