@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +114,22 @@ def _entries(
     return found[1] if len(found) == 2 else np.concatenate(found)
 
 
-def message_heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:
+class Heads(NamedTuple):
+    """What stands before messages, each (n_messages,).
+
+    The columns are copies: arithmetic on numbers that are not aligned takes many times longer.
+    """
+
+    channels: NDArray[np.uint16]
+    log_time_ns: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+
+    def select(self, mask: NDArray[np.bool_]) -> Heads:
+        """Return those of some of the messages."""
+        return Heads(self.channels[mask], self.log_time_ns[mask], self.lengths[mask])
+
+
+def message_heads(records: Bytes, offsets: Offsets) -> Heads | None:
     """Read the heads of the messages at these offsets; None unless there are such."""
     if not len(offsets):
         return None
@@ -121,18 +137,19 @@ def message_heads(records: Bytes, offsets: Offsets) -> NDArray[np.void] | None:
     if low < 0 or high > len(records) - MESSAGE_HEAD.itemsize:
         return None
     opaque = np.dtype((np.void, MESSAGE_HEAD.itemsize))
-    heads: NDArray[np.void] = rows(records, offsets, opaque).view(MESSAGE_HEAD)
-    lengths = heads["length"]
-    longest = (len(records) - RECORD.size - offsets).astype(np.uint64)
-    good = (heads["opcode"] == MESSAGE) & (lengths >= MESSAGE_FIELDS_BYTES) & (lengths <= longest)
-    return heads if good.all() else None
+    heads = rows(records, offsets, opaque).view(MESSAGE_HEAD)
+    lengths: NDArray[np.int64] = heads["length"].copy().view(np.int64) - MESSAGE_FIELDS_BYTES
+    longest = len(records) - MESSAGE_HEAD.itemsize - offsets
+    good = (heads["opcode"] == MESSAGE) & (lengths >= 0) & (lengths <= longest)
+    if not good.all():
+        return None
+    return Heads(heads["channel"].copy(), heads["log_time"].copy(), lengths)
 
 
-def batches_at(records: Bytes, offsets: Offsets, heads: NDArray[np.void]) -> Iterator[Timed]:
+def batches_at(records: Bytes, offsets: Offsets, heads: Heads) -> Iterator[Timed]:
     """Copy the messages at these offsets, with the times at which they were recorded. [ns]"""
-    lengths = heads["length"].astype(np.int64) - MESSAGE_FIELDS_BYTES
-    for part, batch in side_by_side(records, offsets, MESSAGE_HEAD.itemsize, lengths):
-        yield heads["log_time"][part], batch
+    for part, batch in side_by_side(records, offsets, MESSAGE_HEAD.itemsize, heads.lengths):
+        yield heads.log_time_ns[part], batch
 
 
 def _at_entries(
@@ -145,16 +162,17 @@ def _at_entries(
         entries, offsets = entries[order], offsets[order]
         if not (offsets[1:] > offsets[:-1]).all():
             return None
-    times_ns: NDArray[np.int64] = entries["log_time"]
+    times_ns: NDArray[np.int64] = entries["log_time"].copy()
     batch = _of_one_length(records, offsets)
     if batch is not None:
         heads = np.ndarray(len(batch), MESSAGE_HEAD, batch.rows, 0, batch.rows.strides[:1])
-        if int(heads["channel"][0]) in channels and (heads["log_time"] == times_ns).all():
+        same_times = (heads["log_time"].copy() == times_ns).all()
+        if int(heads["channel"][0]) in channels and same_times:
             return [(times_ns, batch)]
     whole = message_heads(records, offsets)
     if whole is None:
         return None if len(offsets) else []
-    if np.isin(whole["channel"], channels).all() and (whole["log_time"] == times_ns).all():
+    if np.isin(whole.channels, channels).all() and (whole.log_time_ns == times_ns).all():
         return list(batches_at(records, offsets, whole))
     return None
 
@@ -176,7 +194,7 @@ def _of_one_length(records: Bytes, offsets: Offsets) -> Batch | None:
     found = rows(records, offsets, np.dtype((np.void, width))).view(np.uint8).reshape(-1, width)
     # Opcode, length and channel are the first eleven bytes: two numbers of eight that overlap.
     for at in (0, 3):
-        column = np.ndarray(len(found), np.uint64, found, at, (width,))
+        column = np.ndarray(len(found), np.uint64, found, at, (width,)).copy()
         if not (column == column[0]).all():
             return None
     lengths = np.full(len(found), length - MESSAGE_FIELDS_BYTES, np.int64)

@@ -173,7 +173,7 @@ class Messages:
         heads = message_heads(records, offsets)
         if heads is None:
             return
-        channels = heads["channel"]
+        channels = heads.channels
         numbers, counts = np.unique(channels, return_counts=True)
         self._counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
         topics = {self._topic(number) for number in numbers.tolist()}
@@ -181,7 +181,7 @@ class Messages:
             if topic and topic.wanted:
                 own = [n for n in numbers.tolist() if self._topic_of.get(n) is topic]
                 here = np.isin(channels, own)
-                for times_ns, batch in batches_at(records, offsets[here], heads[here]):
+                for times_ns, batch in batches_at(records, offsets[here], heads.select(here)):
                     topic.add(batch, times_ns)
 
     def _check_counts(self) -> None:

@@ -17,11 +17,13 @@ from fdilog_readers.rosbag1_records import (
     MESSAGE,
     DamagedRecordError,
     Header,
+    Heads,
     MessageChain,
     MessageShape,
     number,
     parse_header,
     parse_record,
+    times_in,
 )
 from fdilog_readers.topics import Topic, Topics
 
@@ -123,21 +125,19 @@ class Messages:
         if offsets[-1] > len(records) - shape.lead:
             return None
         one_length = _of_one_length(records, offsets, shape)
-        heads = _heads(records, offsets, shape) if one_length is None else one_length.rows
-        fields = np.ndarray(len(heads), shape.head, heads, 0, heads.strides[:1])
-        ends = offsets + shape.lead + fields["length"]
-        own_only = (fields["conn"] == own[0]) if len(own) == 1 else np.isin(fields["conn"], own)
+        rows_of = _heads(records, offsets, shape) if one_length is None else one_length.rows
+        heads = shape.heads(rows_of)
+        ends = offsets + shape.lead + heads.lengths
         if not (
-            shape.begins(heads).all()
-            and own_only.all()
-            and (fields["seconds"] == entries["seconds"]).all()
-            and (fields["nanoseconds"] == entries["nanoseconds"]).all()
+            shape.begins(rows_of).all()
+            and (heads.times_ns == times_in(entries)).all()
+            and np.isin(heads.connections, own).all()
             and (ends <= len(records)).all()
         ):
             return None
-        if one_length is not None and (fields["length"] == one_length.lengths[0]).all():
-            return [(_times_ns(fields), one_length)]
-        return list(_batches(records, offsets, fields, shape))
+        if one_length is not None and (heads.lengths == one_length.lengths[0]).all():
+            return [(heads.times_ns, one_length)]
+        return list(_batches(records, offsets, heads, shape))
 
     def _shape_at(self, records: Bytes, at: int) -> MessageShape | None:
         """Return the shape of the message record that begins at a place, if one does."""
@@ -205,15 +205,15 @@ class Messages:
 
     def _sort(self, records: Bytes, offsets: Offsets, shape: MessageShape) -> None:
         """Hand messages of any connections to their topics."""
-        heads = _heads(records, offsets, shape)
-        fields = np.ndarray(len(heads), shape.head, heads, 0, heads.strides[:1])
-        numbers, counts = np.unique(fields["conn"], return_counts=True)
+        heads = shape.heads(_heads(records, offsets, shape))
+        numbers, counts = np.unique(heads.connections, return_counts=True)
         self._counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
         for topic in {self._topic_of.get(n) for n in numbers.tolist()}:
             if topic is not None and topic.wanted:
                 own = [n for n in numbers.tolist() if self._topic_of.get(n) is topic]
-                here = np.isin(fields["conn"], own)
-                for times_ns, batch in _batches(records, offsets[here], fields[here], shape):
+                here = np.isin(heads.connections, own)
+                part = heads.select(here)
+                for times_ns, batch in _batches(records, offsets[here], part, shape):
                     topic.add(batch, times_ns)
 
 
@@ -235,14 +235,7 @@ def _of_one_length(records: Bytes, offsets: Offsets, shape: MessageShape) -> Bat
 
 
 def _batches(
-    records: Bytes, offsets: Offsets, fields: NDArray[np.void], shape: MessageShape
+    records: Bytes, offsets: Offsets, heads: Heads, shape: MessageShape
 ) -> Iterator[Timed]:
-    times_ns, lengths = _times_ns(fields), fields["length"].astype(np.int64)
-    for part, batch in side_by_side(records, offsets, shape.lead, lengths):
-        yield times_ns[part], batch
-
-
-def _times_ns(fields: NDArray[np.void]) -> NDArray[np.int64]:
-    times_ns: NDArray[np.int64] = fields["seconds"].astype(np.int64) * 1_000_000_000
-    times_ns += fields["nanoseconds"]
-    return times_ns
+    for part, batch in side_by_side(records, offsets, shape.lead, heads.lengths):
+        yield heads.times_ns[part], batch

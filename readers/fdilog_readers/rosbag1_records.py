@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +152,28 @@ def chunk_head(record: Record) -> ChunkHead:
     )
 
 
+class Heads(NamedTuple):
+    """What stands before messages, each (n_messages,).
+
+    The columns are copies: arithmetic on numbers that are not aligned takes many times longer.
+    """
+
+    connections: NDArray[np.uint32]
+    times_ns: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+
+    def select(self, mask: NDArray[np.bool_]) -> Heads:
+        """Return those of some of the messages."""
+        return Heads(self.connections[mask], self.times_ns[mask], self.lengths[mask])
+
+
+def times_in(records: NDArray[np.void]) -> NDArray[np.int64]:
+    """Return the times of message heads, or of an index's entries. [ns]"""
+    times_ns: NDArray[np.int64] = records["seconds"].copy().astype(np.int64) * 1_000_000_000
+    times_ns += records["nanoseconds"].copy()
+    return times_ns
+
+
 class MessageShape:
     """The header that the messages of one recorder have, in which only two numbers vary.
 
@@ -185,7 +208,7 @@ class MessageShape:
         # Where eight bytes are compared at once: every eighth, and the last eight.
         starts = sorted({*range(0, self.lead - 8, 8), max(0, self.lead - 8)})
         self._parts = [(at, _mask(fixed, at), _mask(fixed, at, self._model)) for at in starts]
-        self.head = np.dtype(
+        self._head = np.dtype(
             {
                 "names": ["conn", "seconds", "nanoseconds", "length"],
                 "formats": ["<u4"] * 4,
@@ -198,6 +221,12 @@ class MessageShape:
                 "itemsize": self.lead,
             }
         )
+
+    def heads(self, rows: Bytes) -> Heads:
+        """Read the heads at the beginning of rows."""
+        fields = np.ndarray(len(rows), self._head, rows, 0, rows.strides[:1])
+        lengths = fields["length"].copy().astype(np.int64)
+        return Heads(fields["conn"].copy(), times_in(fields), lengths)
 
     def matches(self, raw: bytes | memoryview) -> bool:
         """Tell whether a record begins with such a header."""
