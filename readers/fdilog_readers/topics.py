@@ -233,6 +233,8 @@ def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
 
     Seconds beyond this would not fit in 64 bits once they are nanoseconds.
     """
+    if values.dtype.kind in "iu" and values.dtype.itemsize <= 4:
+        return values.astype(np.int64)
     with np.errstate(invalid="ignore"):
         whole: NDArray[np.int64] = values.astype(np.int64)
     return np.where((whole > -9 * 10**9) & (whole < 9 * 10**9), whole, 0)
