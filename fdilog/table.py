@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+# Cosine of the angle within which two axes count as one: mounting errors are a few degrees.
+PARALLEL = float(np.cos(np.radians(10.0)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Channel:
     """One scalar gyro.
@@ -92,6 +96,13 @@ class ChannelTable:
     def duration_s(self) -> float:
         """From the first to the last sample. [s]"""
         return float(self.time_s[-1] - self.time_s[0]) if len(self.time_s) else 0.0
+
+    def along(self, channel: int) -> NDArray[np.bool_]:
+        """Tell which other channels sense along the axis of this one, either way."""
+        axes = self.axes
+        found: NDArray[np.bool_] = np.abs(axes @ axes[channel]) > PARALLEL
+        found[channel] = False
+        return found
 
     @property
     def gyros(self) -> ChannelTable:

@@ -174,8 +174,7 @@ def _usual(values: Floats) -> float:
 def _peers(survey: Survey, channel: int) -> NDArray[np.int64]:
     """Channels whose noise is comparable: those along the same axis, else all others."""
     axes = survey.table.axes
-    along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
-    along[channel] = False
+    along = survey.table.along(channel)
     if along.any():
         return np.flatnonzero(along)
     skewed = len(np.unique(np.round(np.abs(axes), 3), axis=0)) == len(axes) > 3

@@ -139,9 +139,7 @@ def _others_move(
     Motion is what is more than a few steps of this channel, and more than ``least_motion``: at
     rest, one gyro may rest within a step while another shows its noise.
     """
-    axes = table.axes
-    along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
-    along[channel] = False
+    along = table.along(channel)
     of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
     of_source[channel] = False
     threshold = max(MOVING_STEPS * table.channels[channel].step_rad_s, least_motion)

@@ -92,8 +92,7 @@ def _impulses(
     high = np.flatnonzero(size > limit)
     if not len(high):
         return []
-    axes = table.axes
-    along = np.abs(axes @ axes[channel]) > np.cos(np.radians(10.0))
+    along = table.along(channel)
     of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
     others = along & ~of_source
     factor = 1.0 if others.any() else ALONE_FACTOR
