@@ -217,8 +217,9 @@ def judge(
     """
     from fdilog import decision
     from fdilog import findings as of
-    from fdilog.biases import bias_findings, scale_findings
+    from fdilog.biases import bias_findings
     from fdilog.registry import detectors, plugins
+    from fdilog.scales import scale_findings
     from fdilog.windows import Survey, cut, spans
 
     names = config.detectors.use or _default_order(plugins("detectors"))

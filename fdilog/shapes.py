@@ -1,0 +1,118 @@
+"""Drift and scale: faults of another shape than a step, told from one and measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fdilog.accusations import region
+from fdilog.config import Config
+from fdilog.edges import Shape, best_ramp, best_scale, best_step
+from fdilog.finding import SIZE_UNIT, Kind, Size
+from fdilog.noise import windowed_mean
+from fdilog.student import student_quantile
+from fdilog.table import ChannelTable
+from fdilog.testimony import Statement
+from fdilog.traces import Trace, trace_of
+
+# Another shape than a step is believed if its likelihood is a thousand times larger, 2 ln 1000.
+OTHER_SHAPE = 2.0 * np.log(1000.0)
+# Fewer samples have no shape to speak of.
+FEWEST_SHAPED = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Suspects, and the shape and span in which they are off; ``removed`` failed meanwhile."""
+
+    suspects: frozenset[int]
+    shape: Shape
+    longest_s: float
+    removed: frozenset[int] = frozenset()
+    testimony: Statement | None = None
+
+    @property
+    def start(self) -> int:
+        """First sample."""
+        return self.shape.start
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample."""
+        return self.shape.stop
+
+
+def shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
+    """Return the fault as a drift or a scale error where that explains far more than a step."""
+    duration_s = float(table.time_s[fault.stop - 1] - table.time_s[fault.start])
+    around = region(table, fault.start, fault.stop, max(duration_s, fault.longest_s))
+    channel = min(fault.suspects)
+    trace = trace_of(table, channel, fault.removed, *around)
+    if trace is None:
+        return fault
+    found = other_shape(trace, best_ramp(trace.residual, trace.time_s))
+    if found is None:
+        # A scale error shows wherever the rate is high, not only where it was noticed.
+        whole = trace_of(table, channel, fault.removed, 0, len(table.time_s)) or trace
+        whole = whole.averaged()
+        scale = best_scale(whole.residual, whole.predicted)
+        if abs(scale.size) > config.tolerance.scale:
+            found = other_shape(whole, scale)
+    return fault if found is None else replace(fault, shape=found)
+
+
+def other_shape(trace: Trace, shape: Shape) -> Shape | None:
+    """Return a shape, placed in the table, if it explains a trace far better than a step does."""
+    if shape.stop - shape.start < FEWEST_SHAPED:
+        return None
+    noise, dof = trace.noise_about(shape)
+    more = shape.gain - best_step(trace.residual).gain
+    return trace.placed(shape) if dof > 0 and more > OTHER_SHAPE * noise else None
+
+
+def shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
+    """Rate of drift or scale factor of the first suspect, with its Student interval."""
+    trace = trace_of(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
+    if trace is None:
+        return None
+    if fault.shape.kind == "scale":
+        trace = trace.averaged()
+    form = trace.form(replace(fault.shape, start=0, stop=len(trace.rows)))
+    if fault.shape.kind == "drift":
+        # A free level, since the onset is not known to the sample.
+        form = form - form.mean()
+    power = float((form**2).sum())
+    if power <= 0.0:
+        return None
+    size = float((form * trace.residual).sum()) / power
+    left = trace.residual - size * form
+    looks = windowed_mean((left - left.mean())[None, :, None])
+    if not looks.dof[0] > 0:
+        return None
+    noise = float(looks.covariance[0, 0, 0]) * len(form)
+    quantile = float(student_quantile(looks.dof, config.windows.confidence)[0])
+    factor = 1.0 if fault.shape.kind == "scale" else 0.0
+    half_width = quantile * float(np.sqrt(noise / power))
+    return size_of(factor + size, half_width, fault.shape.kind, config)
+
+
+def size_of(estimate: float, half_width: float, kind: Kind, config: Config) -> Size:
+    """Put an estimate and its interval into the unit of its kind."""
+    return Size(
+        estimate=estimate,
+        low=estimate - half_width,
+        high=estimate + half_width,
+        confidence=config.windows.confidence,
+        unit=SIZE_UNIT[kind],
+    )
+
+
+def disagreement(names: tuple[str, ...]) -> str:
+    """Say in words who disagrees with whom."""
+    if len(names) == 1:
+        return "reads off from what the other gyros that sense its axis agree on"
+    return (
+        f"{', '.join(names)} disagree and the redundancy of this log cannot tell which of them"
+        f" failed; the size is {names[0]}'s error if it is the one"
+    )
