@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from decimal import Decimal
+
 import pytest
 
 from fdilog.reproduce import TABLES, Row, reproduce
-from fdilog.reproduce.row import counted, rounded
+from fdilog.reproduce.row import counted, last_digit, rounded
 
 
 @pytest.mark.parametrize("name", ["larin", "observer"])
@@ -29,10 +31,29 @@ def test_a_rounded_figure_agrees_within_half_its_last_place(ours: float, agrees:
     assert row.difference == pytest.approx(ours - 1.23)
 
 
-@pytest.mark.parametrize(("ours", "agrees"), [(0.53, True), (0.54, False)])
-def test_a_counted_share_agrees_within_its_binomial_interval(ours: float, agrees: bool) -> None:
-    # 1000 trials of one half: 1.96 standard deviations are 3.1 %.
-    assert counted("t", "q", printed=0.5, ours=ours, trials=1000).agrees is agrees
+@pytest.mark.parametrize(
+    ("printed", "ours", "agrees"),
+    [
+        # 1000 trials of one half: 1.96 standard deviations are 3.1 %.
+        ("50.0", 0.53, True),
+        ("50.0", 0.534, False),
+        # Printed to whole per cent it may have been 50.4 %.
+        ("50", 0.534, True),
+        ("50", 0.54, False),
+    ],
+)
+def test_a_counted_share_agrees_within_chance_and_the_rounding_of_its_print(
+    printed: str, ours: float, agrees: bool
+) -> None:
+    row = counted("t", "q", printed=printed, ours=ours, trials=1000)
+    assert row.agrees is agrees
+    assert row.printed == 0.5
+    assert ("at the edge" in row.note) is (printed == "50" and agrees)
+
+
+@pytest.mark.parametrize(("printed", "unit"), [("8", 1), ("80.3", 0.1), ("7.30", 0.01)])
+def test_the_unit_of_the_last_digit_is_read_off_the_print(printed: str, unit: float) -> None:
+    assert float(last_digit(Decimal(printed))) == unit
 
 
 def test_words_have_no_difference() -> None:
