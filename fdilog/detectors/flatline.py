@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fdilog.finding import Evidence, Kind
 from fdilog.registry import Stage
@@ -36,23 +36,29 @@ FULL_SCALE_MARGIN = 0.03
 MOVING_STEPS = 4.0
 
 
-def runs_of_equal(values: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def runs_of_equal(
+    values: NDArray[np.float64], breaks: ArrayLike = ()
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the maximal runs of one repeated value.
 
     Parameters
     ----------
     values : (n,)
         Readings without not-a-numbers.
+    breaks
+        Indices at which a run begins in any case.
 
     Returns
     -------
     start, stop : (n_runs,) int64
         First index of each run, one past its last.
     """
-    change = np.flatnonzero(np.diff(values) != 0) + 1
-    start = np.concatenate([[0], change])
-    stop = np.concatenate([change, [len(values)]])
-    return (start, stop) if len(values) else (start[:0], stop[:0])
+    begins = np.ones(len(values), bool)
+    np.not_equal(values[1:], values[:-1], out=begins[1:])
+    inside = np.asarray(breaks, np.int64)
+    begins[inside[inside < len(values)]] = True
+    start = np.flatnonzero(begins)
+    return start, np.append(start[1:], len(values))[: len(start)]
 
 
 def longest_ordinary_run(lengths: NDArray[np.int64]) -> float:
@@ -112,13 +118,10 @@ def _impossible_runs(
     values = table.rate_rad_s[rows, channel]
     if len(values) < FEWEST_REPEATS:
         return []
-    start, stop = runs_of_equal(values)
     # A run ends where the log has a hole: what the gyro did there is not known.
-    cuts = np.searchsorted(rows, [first for first, _ in parts[1:]])
-    start = np.union1d(start, cuts[cuts < len(rows)])
-    stop = np.append(start[1:], len(rows))
+    start, stop = runs_of_equal(values, np.searchsorted(rows, [first for first, _ in parts[1:]]))
     lengths = stop - start
-    never_moved = len(np.unique(values)) == 1
+    never_moved = bool((values == values[0]).all())
     limit = FEWEST_REPEATS if never_moved else longest_ordinary_run(lengths)
     period_s = 1.0 / table.channels[channel].rate_hz if table.channels[channel].rate_hz else 0.0
     long = (lengths >= max(limit, FEWEST_REPEATS)) & (lengths * period_s >= SHORTEST_RUN_S)
