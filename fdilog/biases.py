@@ -70,7 +70,7 @@ def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
     step = Shape(kind="bias", start=cluster.start, stop=cluster.stop, gain=0.0, size=0.0)
     if trace is not None:
-        step = trace.placed(best_step(trace.residual))
+        step = trace.placed(best_step(trace.residual, trace.weight()))
     fault = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
     return shaped(table, _tested(table, fault, config), config)
 
@@ -138,7 +138,51 @@ def _joined_faults(table: ChannelTable, faults: Sequence[Fault], config: Config)
                 break
         else:
             kept.append(fault)
+    return _bridged(table, kept, config)
+
+
+def _bridged(table: ChannelTable, faults: Sequence[Fault], config: Config) -> list[Fault]:
+    """Join biases of the same suspects if nothing shows that they were sound in between.
+
+    What is known badly for a while, in hard vibration say, leaves a hole in the middle of a fault.
+    It is one fault if the readings in the hole could be off by what they are off by on both sides,
+    and cannot be shown to be within tolerance.
+    """
+    kept: list[Fault] = []
+    for fault in faults:
+        for k, other in enumerate(kept):
+            whole = replace(
+                other,
+                shape=replace(other.shape, stop=max(fault.stop, other.stop)),
+                longest_s=max(fault.longest_s, other.longest_s),
+                removed=fault.removed & other.removed,
+            )
+            if _same_bias(table, other, fault, whole, config):
+                kept[k] = whole
+                break
+        else:
+            kept.append(fault)
     return kept
+
+
+def _same_bias(
+    table: ChannelTable, one: Fault, next_one: Fault, whole: Fault, config: Config
+) -> bool:
+    """Tell whether two biases and the hole between them are one."""
+    if one.suspects != next_one.suspects or {one.shape.kind, next_one.shape.kind} != {"bias"}:
+        return False
+    if next_one.start <= one.stop:
+        return False
+    hole = replace(one, shape=replace(one.shape, start=one.stop, stop=next_one.start))
+    sizes = [_size(table, fault, config) for fault in (one, hole, next_one, whole)]
+    before, inside, after, all_of_it = sizes
+    if before is None or inside is None or after is None or all_of_it is None:
+        return False
+    tolerance = np.radians(config.tolerance.bias_deg_s)
+    sound = max(abs(inside.low), abs(inside.high)) <= tolerance
+    alike = max(before.low, inside.low, after.low) <= min(before.high, inside.high, after.high)
+    beyond = max(all_of_it.low, -all_of_it.high) > tolerance
+    return alike and beyond and not sound
 
 
 def finding_of(table: ChannelTable, fault: Fault, config: Config) -> Finding:

@@ -45,15 +45,18 @@ class Shape:
     size: float
 
 
-def best_step(residual: Floats) -> Shape:
+def best_step(residual: Floats, weight: Floats | None = None) -> Shape:
     """Find the span over which a constant explains most of a residual.
 
     Parameters
     ----------
     residual : (n,)
         Residual less its level outside. [rad/s]
+    weight : (n,)
+        What each sample counts, all alike by default. [1]
     """
-    return _best("bias", residual, np.ones(len(residual)))
+    alike = np.ones(len(residual))
+    return _best("bias", residual, alike, alike if weight is None else weight)
 
 
 def best_scale(residual: Floats, predicted: Floats) -> Shape:
@@ -64,7 +67,7 @@ def best_scale(residual: Floats, predicted: Floats) -> Shape:
     predicted : (n,)
         What the other channels say the reading is. [rad/s]
     """
-    return _best("scale", residual, predicted)
+    return _best("scale", residual, predicted, np.ones(len(residual)))
 
 
 def best_ramp(residual: Floats, time_s: Floats) -> Shape:
@@ -87,8 +90,8 @@ def best_ramp(residual: Floats, time_s: Floats) -> Shape:
     return _search("drift", len(residual), products)
 
 
-def _best(kind: Kind, residual: Floats, shape: Floats) -> Shape:
-    with_residual, alone = _sums(residual * shape), _sums(shape**2)
+def _best(kind: Kind, residual: Floats, shape: Floats, weight: Floats) -> Shape:
+    with_residual, alone = _sums(weight * residual * shape), _sums(weight * shape**2)
 
     def products(a: Rows, b: Rows) -> tuple[Floats, Floats]:
         return (

@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 
 from fdilog.edges import Shape
 from fdilog.geometry import leave_one_out
-from fdilog.noise import windowed_mean
+from fdilog.noise import robust_sigma, windowed_mean
 from fdilog.table import ChannelTable
 
 # Manoeuvres take longer than this, vibration is faster. [s]
 MANOEUVRE_S = 0.5
+# Vibration is taken as even over stretches of this length, and of this many samples at least.
+EVEN_S = 1.0
+FEWEST_EVEN = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +58,22 @@ class Trace:
             time_s=np.add.reduceat(self.time_s, first) / count,
             residual=np.add.reduceat(self.residual, first) / count,
             predicted=np.add.reduceat(self.predicted, first) / count,
+        )
+
+    def weight(self) -> NDArray[np.float64]:
+        """Weigh the samples, (n,): one where they are as noisy as usual or less, else below.
+
+        Inverse to the variance, relative to the usual one, of a stretch of `EVEN_S`. Without it, a
+        second of hard vibration holds a larger step by chance than a quiet fault beside it.
+        """
+        n = len(self.residual)
+        step = max(int(np.searchsorted(self.time_s - self.time_s[0], EVEN_S)), FEWEST_EVEN)
+        first = np.arange(0, max(n - FEWEST_EVEN, 1), step)
+        spread = np.array([robust_sigma(part) for part in np.split(self.residual, first[1:])])
+        usual = float(np.median(spread))
+        share = np.minimum(1.0, usual / np.where(spread > 0.0, spread, usual or 1.0)) ** 2
+        return np.repeat(
+            share if usual > 0.0 else np.ones(len(first)), np.diff(np.append(first, n))
         )
 
     def noise_about(self, shape: Shape) -> tuple[float, float]:

@@ -77,6 +77,17 @@ def test_the_crash_shows_the_noise_of_one_imu_and_no_bias(real_logs: Path) -> No
     assert all(finding.suspects[0].startswith("imu0.") for finding in analysis.findings)
 
 
+def test_a_bias_that_the_vibration_of_its_imu_hides_at_times_is_one_finding(
+    real_logs: Path,
+) -> None:
+    recording = fdilog.read(real_logs / "dataflash" / "copter_3imu_vibration_crash.bin")
+    changed = with_bias(recording, 0, 1, start_s=167.2, length_s=20.0, deg_s=-2.0)
+    biases = [f for f in analyse_recording(changed, Config()).findings if f.kind == "bias"]
+    assert [finding.suspects for finding in biases] == [("imu0.y",)]
+    assert biases[0].start_s == pytest.approx(167.2, abs=1.0)
+    assert biases[0].end_s == pytest.approx(187.2, abs=1.0)
+
+
 def test_a_log_cut_in_its_table_of_formats_is_unreadable_with_the_reason(real_logs: Path) -> None:
     with pytest.raises(FdilogError, match="truncated_600_bytes"):
         analyse(real_logs, "truncated_600_bytes")

@@ -9,7 +9,8 @@ from fdilog.analysis import judge
 from fdilog.config import Config
 from fdilog.decision import conclude
 from fdilog.finding import Finding
-from tests.tables import DEG, changed, table_of, triads
+from fdilog.table import ChannelTable
+from tests.tables import DEG, changed, put, table_of, triads
 
 CONFIG = Config()
 
@@ -67,6 +68,30 @@ def test_two_faults_at_different_times_are_two_findings() -> None:
     findings = judge(table, CONFIG).findings
     assert [f.suspects for f in findings] == [("imu0.x",), ("imu0.x",)]
     assert [round(f.start_s) for f in findings] == [20, 80]
+
+
+def shaken(table: ChannelTable, start_s: float, end_s: float, sigma_deg_s: float) -> ChannelTable:
+    """Shake every gyro by itself for a while, as an airframe at resonance does."""
+    rng = np.random.default_rng(5)
+    rate = table.rate_rad_s.copy()
+    during = (table.time_s >= start_s) & (table.time_s < end_s)
+    rate[during] += rng.normal(0.0, sigma_deg_s * DEG, rate[during].shape)
+    return put(table, rate)
+
+
+def test_a_bias_that_vibration_hides_for_a_while_is_one_finding() -> None:
+    table = changed(triads(3, seconds=90.0), "imu0.x", 20.0, 60.0, add=3.0 * DEG)
+    finding = only(judge(shaken(table, 30.0, 50.0, 12.0), CONFIG).findings)
+    assert (round(finding.start_s), round(finding.end_s)) == (20, 60)
+    assert finding.size is not None
+    assert finding.size.low < 3.0 * DEG < finding.size.high
+
+
+def test_a_bias_that_pauses_is_two_findings_though_short_windows_know_little() -> None:
+    table = changed(triads(3, seconds=90.0), "imu0.x", 20.0, 35.0, add=3.0 * DEG)
+    table = changed(table, "imu0.x", 45.0, 60.0, add=3.0 * DEG)
+    findings = judge(shaken(table, 35.0, 45.0, 6.0), CONFIG).findings
+    assert [(round(f.start_s), round(f.end_s)) for f in findings] == [(20, 35), (45, 60)]
 
 
 def test_two_faults_on_different_axes_are_both_isolated() -> None:
