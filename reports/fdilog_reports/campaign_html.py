@@ -8,8 +8,7 @@ import json
 
 from fdilog.campaign.summary import Campaign
 from fdilog_reports.campaign_view import campaign_view
-from fdilog_reports.html import SCRIPT_SAFE
-from fdilog_reports.template import FOLDER, html_environment
+from fdilog_reports.template import FOLDER, SCRIPT_SAFE, html_environment
 
 file_name = "index.html"
 

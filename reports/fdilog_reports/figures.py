@@ -118,7 +118,7 @@ class RateAxis:
         placed: Floats = HIGH / 2.0 * (1.0 - np.copysign(share, rate))
         return placed
 
-    def ticks(self) -> tuple[Tick, ...]:
+    def round_rates(self) -> list[tuple[float, str]]:
         """Zero, the tolerance and round multiples of it, thinned so that words keep apart."""
         least = 12.0  # percent of the height that a line of small print takes
         rates, last = [0.0], HIGH / 2.0
@@ -130,9 +130,12 @@ class RateAxis:
                 rates.append(self.tolerance * multiple)
                 last = at
         both = [*(-rate for rate in reversed(rates[1:])), *rates]
+        return [(rate, figure(rate).replace("-", "\u2212")) for rate in both]
+
+    def ticks(self) -> tuple[Tick, ...]:
+        """Place the round rates."""
         return tuple(
-            Tick(at=f"{float(self.y(rate)):.1f}", label=figure(rate).replace("-", "\u2212"))
-            for rate in both
+            Tick(at=f"{float(self.y(rate)):.1f}", label=label) for rate, label in self.round_rates()
         )
 
 

@@ -7,16 +7,11 @@ import base64
 from fdilog.analysis import Analysis
 from fdilog_reports import json as json_report
 from fdilog_reports.residual_picture import residual_picture
-from fdilog_reports.template import html_environment
+from fdilog_reports.template import SCRIPT_SAFE, html_environment
 from fdilog_reports.timeline import timeline
 from fdilog_reports.view import report
 
 suffix = ".html"
-
-# JSON allows these escapes in every string; nothing of a script element's syntax is left.
-SCRIPT_SAFE = str.maketrans(
-    {"<": r"\u003c", ">": r"\u003e", "&": r"\u0026", "\u2028": r"\u2028", "\u2029": r"\u2029"}
-)
 
 
 def render(analysis: Analysis) -> str:

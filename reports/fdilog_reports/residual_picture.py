@@ -22,7 +22,14 @@ from fdilog_reports.figures import (
     finding_spans,
     outline,
 )
-from fdilog_reports.residuals import Intervals, Residual, drawn_evidence, intervals, residuals
+from fdilog_reports.residuals import (
+    Intervals,
+    Residual,
+    drawn_evidence,
+    intervals,
+    mirrored,
+    residuals,
+)
 from fdilog_reports.words import DEG_PER_RAD, figure, flight_time, listed, percent, shown
 
 
@@ -92,10 +99,10 @@ def residual_picture(analysis: Analysis) -> Residuals:
     groups = []
     for block in blocks(analysis.table.axes) if series else []:
         members = [i for i in block if i in series]
-        mirrored = _mirrored(members, series)
+        once = mirrored(members, series)
         panels = tuple(
-            _panel(analysis, frame, series[i], lines[i], members if mirrored else [i])
-            for i in (members[:1] if mirrored else members)
+            _panel(analysis, frame, series[i], lines[i], members if once else [i])
+            for i in (members[:1] if once else members)
         )
         if panels:
             names = [shown(analysis.table.channels[i].name) for i in block]
@@ -106,14 +113,6 @@ def residual_picture(analysis: Analysis) -> Residuals:
         bars=_bars_in_words(drawn) if drawn is not None else "",
         time_ticks=axis.ticks(),
     )
-
-
-def _mirrored(members: list[int], series: dict[int, Residual]) -> bool:
-    """Whether two channels have only one another: one residual is the other's negative."""
-    if len(members) != 2:
-        return False
-    first, second = members
-    return series[first].peers == (second,) and series[second].peers == (first,)
 
 
 def _bars_in_words(drawn: Evidence) -> str:

@@ -69,6 +69,14 @@ def _among(kept: NDArray[np.intp], columns: set[int]) -> set[int]:
     return {place for place, column in enumerate(kept) if int(column) in columns}
 
 
+def mirrored(members: Sequence[int], series: dict[int, Residual]) -> bool:
+    """Whether two channels have only one another: one residual is the other's negative."""
+    if len(members) != 2:
+        return False
+    first, second = members
+    return series[first].peers == (second,) and series[second].peers == (first,)
+
+
 def _stretches(table: ChannelTable) -> list[tuple[NDArray[np.bool_], NDArray[np.intp]]]:
     """Group the rows by which channels are valid in them: (valid channels, rows) of each group."""
     if not len(table.time_s):
@@ -142,16 +150,16 @@ def leading(evidence: Sequence[Evidence]) -> list[Evidence]:
     ]
 
 
-def drawn_evidence(analysis: Analysis) -> Evidence | None:
+def drawn_evidence(analysis: Analysis, most: int = MOST_WINDOWS) -> Evidence | None:
     """Choose the deciding detector's windows that show most: the shortest of which most decide.
 
-    Of the lengths with at most `MOST_WINDOWS`, the shortest at which at least half of the bounded
+    Of the lengths with at most so many windows, the shortest at which at least half of the bounded
     intervals lie inside or outside the tolerance; where there is none, the longest.
     """
     bounded = [item for item in leading(analysis.evidence) if _bounded(item).any()]
     bounded.sort(key=lambda item: item.windows.length_s)
     for item in bounded:
-        if len(item.windows) <= MOST_WINDOWS and _decided_share(item) >= 0.5:
+        if len(item.windows) <= most and _decided_share(item) >= 0.5:
             return item
     return bounded[-1] if bounded else None
 

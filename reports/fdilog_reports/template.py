@@ -12,6 +12,11 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parent / "templates"
 
+# JSON allows these escapes in every string; nothing of a script element's syntax is left.
+SCRIPT_SAFE = str.maketrans(
+    {"<": r"\u003c", ">": r"\u003e", "&": r"\u0026", "\u2028": r"\u2028", "\u2029": r"\u2029"}
+)
+
 # Everything that CommonMark or its tables and autolinks could take for markup. An underscore
 # inside a word is none, and most channel and topic names would be unreadable with it escaped.
 _MARKDOWN = re.compile(r"[\\`*\[\]<>|#~!&@]|(?<=:)/|(?<![^\W_])_|_(?![^\W_])|(?i:(?<=www)\.)")
