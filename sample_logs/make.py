@@ -1,6 +1,7 @@
 # ruff: noqa: INP001  a script, not a package
 """Make the logs of this folder again, byte for byte: ``python sample_logs/make.py [FOLDER]``.
 
+(The MCAP files are compressed: another version of zstd gives other bytes with the same content.)
 Beside the logs it writes ``truth.json``, what is true of each log and what an analysis is to say of
 it, and README.md, the same for people.
 """
@@ -8,9 +9,11 @@ it, and README.md, the same for people.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +21,10 @@ import numpy as np
 
 from fdilog.faults import SIZE_UNITS, Fault, FaultKind
 from fdilog.flight import Flight
+from fdilog.recording import Recording
 from fdilog.simulate import Timing, simulate
 from fdilog.writing import write
+from fdilog_readers import mcap_writer, rosbag2_writer
 
 HEAD = """\
 # Sample logs
@@ -35,6 +40,11 @@ last digit.
 Times are seconds from the first gyro sample. The verdict is what an analysis with default settings
 is to say, and the suspects are the channels that it is to name, no more and no fewer; several for
 one fault cannot be told apart by anything in the log.
+
+`same_flight*` is one flight with one fault in every format, for whoever wants to compare formats or
+to test a reader: the verdict, the channel and the times are the same in all. A bag of ROS 2 is a
+folder. `two_imu_topics.mcap` is `two_imus_attitude.bin` as a robot logs it: two topics of
+sensor_msgs/Imu and the attitude.
 
 | log | gyros | what is wrong | verdict | suspects |
 |---|---|---|---|---|
@@ -63,6 +73,10 @@ class Sample:
         For each fault the channels that a right analysis names.
     options
         Options of ``fdilog analyse`` that say what the log does not.
+    utc_at_zero_ns
+        UTC, in nanoseconds since 1970, at zero of the flight's clock. [ns]
+    store
+        What writes the format, where the suffix does not tell.
     """
 
     name: str
@@ -74,6 +88,8 @@ class Sample:
     attitude: bool = True
     note: str = ""
     options: tuple[str, ...] = ()
+    utc_at_zero_ns: int | None = None
+    store: Callable[[Recording, Path], None] = write
 
     @property
     def wrong(self) -> str:
@@ -108,6 +124,22 @@ def _flight(seed: int, duration_s: float = 100.0, rate_hz: float = 25.0, **more:
 
 BIAS = fault("bias", "imu1.y", 40.0, 60.0, 3.0)
 ALL_ALONG = (0.0, np.inf)
+
+SAME_FLIGHT: Mapping[str, Callable[[Recording, Path], None]] = {
+    ".bin": write,
+    ".tlog": write,
+    ".ulg": write,
+    "_cdr.mcap": partial(mcap_writer.write, encoding="cdr"),
+    "_protobuf.mcap": partial(mcap_writer.write, encoding="protobuf"),
+    "_json.mcap": partial(mcap_writer.write, encoding="json"),
+    ".bag": write,
+    "_sqlite3": partial(rosbag2_writer.write_folder, storage="sqlite3"),
+    "_mcap": partial(rosbag2_writer.write_folder, storage="mcap"),
+    ".csv": write,
+}
+"""What follows ``same_flight`` in the name of a log, and what writes it."""
+UTC_NS = 1_700_000_000_000_000_000
+"""Robots' stamps are UTC."""
 
 SAMPLES = (
     Sample(
@@ -236,6 +268,30 @@ SAMPLES = (
         flight=_flight(1),
         note="`cut.bin` with 500 bytes in its middle overwritten",
     ),
+    Sample(
+        name="two_imu_topics.mcap",
+        gyros="2 IMUs, 25 Hz",
+        verdict="failed",
+        flight=_flight(3, sources=2),
+        faults=(BIAS,),
+        suspects=(("imu1.y",),),
+        note="the attitude tells which",
+        utc_at_zero_ns=UTC_NS,
+    ),
+    *(
+        Sample(
+            name=f"same_flight{ending}",
+            gyros="3 IMUs, 20 Hz, no attitude",
+            verdict="failed",
+            flight=_flight(16, 40.0, 20.0),
+            faults=(fault("bias", "imu1.y", 15.0, 30.0, 5.0),),
+            suspects=(("imu1.y",),),
+            attitude=False,
+            utc_at_zero_ns=UTC_NS,
+            store=store,
+        )
+        for ending, store in SAME_FLIGHT.items()
+    ),
 )
 
 
@@ -243,7 +299,10 @@ def make(sample: Sample, folder: Path) -> Flight:
     """Write one log."""
     path = folder / sample.name
     flight = simulate(faults=sample.faults, **sample.flight)
-    write(flight.recording(attitude=sample.attitude), path)
+    recording = flight.recording(attitude=sample.attitude)
+    if path.is_dir():
+        shutil.rmtree(path)
+    sample.store(replace(recording, utc_at_zero_ns=sample.utc_at_zero_ns), path)
     if sample.name in ("cut.bin", "damaged.bin"):
         data = bytearray(path.read_bytes())
         # Six tenths of this log end 24 bytes into an IMU record of 54.

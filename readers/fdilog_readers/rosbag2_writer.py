@@ -11,6 +11,11 @@ from fdilog_readers.ros_writing import published, serialised, typestore
 
 suffix = ".db3"
 
+VERSION_AT = 96
+FIRST_VERSION = (3_007_000).to_bytes(4, "big")
+"""Written where a database says which SQLite wrote it, so that every SQLite gives the same bytes:
+the first version that said so."""
+
 
 def write(recording: Recording, path: Path) -> None:
     """Write a recording as the one SQLite file of a bag; see `write_folder`."""
@@ -57,3 +62,7 @@ def write_folder(
         }
         for time_ns, topic, data in serialised(topics, store, 2):
             writer.write(connections[topic], time_ns, data)
+    for database in folder.glob("*.db3"):
+        with database.open("r+b") as file:
+            file.seek(VERSION_AT)
+            file.write(FIRST_VERSION)
