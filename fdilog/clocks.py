@@ -220,7 +220,8 @@ def place(
     inside = (fraction >= 0) & (fraction <= 1) & (step <= 1.5 * _period_ns(time_ns))
     weight = np.where(inside, fraction, (nearest == upper).astype(float))[:, None]
     with np.errstate(invalid="ignore"):
-        placed = values[lower] * (1.0 - weight) + values[upper] * weight
+        # In this form a reading that is repeated stays the same to the last bit: a stuck gyro.
+        placed = values[lower] + (values[upper] - values[lower]) * weight
     exact = (weight == 0.0) | (weight == 1.0)
     placed = np.where(exact, np.where(weight == 0.0, values[lower], values[upper]), placed)
     valid = near[:, None] & np.isfinite(placed)

@@ -79,3 +79,11 @@ def test_equal_stamps_give_the_readings_to_the_last_bit() -> None:
     placed, valid = place(time, values, time_base([time, time], dropout_s=0.5))
     assert valid.all()
     assert (placed == values).all()
+
+
+def test_a_reading_that_is_repeated_stays_the_same_between_the_instants_of_others() -> None:
+    base = time_base([np.arange(100) * 50_000_000 + 1_234_567], 0.5)
+    held = np.full((101, 1), 0.411)
+    placed, valid = place(np.arange(101) * 50_000_000, held, base)
+    assert valid.all()
+    assert np.unique(placed).tolist() == [0.411]
