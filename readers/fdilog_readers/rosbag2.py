@@ -33,8 +33,12 @@ def sniff(head: bytes) -> bool:
 
 
 def sniff_directory(path: Path) -> bool:
-    """Tell a folder that is a bag: it has a description, or files that a recorder left in it."""
-    return (path / DESCRIPTION).is_file() or bool(_files_in(path))
+    """Tell a folder that is a bag: it has a description, or files that one recorder left in it.
+
+    A recorder numbers its files (``name_0.mcap``, ``name_1.mcap``); a folder of files with names of
+    their own holds several recordings, which are not to be mixed.
+    """
+    return (path / DESCRIPTION).is_file() or len({_unnumbered(f) for f in _files_in(path)}) == 1
 
 
 def read(path: Path, also: Collection[str] = ()) -> Recording:
@@ -165,6 +169,10 @@ def _files_in(folder: Path) -> tuple[Path, ...]:
     except OSError:
         return ()
     return tuple(sorted(found, key=_natural))
+
+
+def _unnumbered(path: Path) -> str:
+    return re.sub(r"_\d+$", "", STORED.sub("", path.name))
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

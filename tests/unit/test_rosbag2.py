@@ -258,6 +258,18 @@ def test_many_messages_are_fetched_piece_by_piece(
     assert_both(rosbag2.read(bag))
 
 
+def test_a_folder_of_several_recordings_is_not_one_bag(tmp_path: Path, bag: Path) -> None:
+    flights = tmp_path / "flights"
+    flights.mkdir()
+    for name in ("rec_0.db3", "rec_1.db3", "rec_10.db3"):
+        shutil.copyfile(bag / "bag.db3", flights / name)
+    assert is_log_directory(flights)
+    shutil.copyfile(bag / "bag.db3", flights / "other.db3")
+    assert not is_log_directory(flights)
+    with pytest.raises(UnreadableLogError, match="is a directory, not a log; name the file in it"):
+        read(flights)
+
+
 def test_what_is_no_bag_is_one_clear_line(tmp_path: Path, bag: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
