@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from fdilog import __version__
 from fdilog.errors import FdilogError, UsageError, nearest
@@ -20,8 +21,34 @@ if TYPE_CHECKING:
     from fdilog.analysis import Analysis, Part
     from fdilog.config import Config
 
+
+class _Commands(TyperGroup):
+    """The commands; Ctrl-C reaches `main`, for Typer's own answer is an exit without a word."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        with _past_typer():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _past_typer():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _past_typer() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise _Interrupted from None
+
+
+class _Interrupted(BaseException):
+    """Ctrl-C on its way past Typer."""
+
+
 app = typer.Typer(
     name="fdilog",
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -66,7 +93,7 @@ def _known_errors() -> Iterator[None]:
     except FdilogError as error:
         _complain(str(error))
         raise SystemExit(ExitCode.NOTHING) from None
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, _Interrupted):
         _complain("interrupted")
         raise SystemExit(ExitCode.INTERRUPTED) from None
     except BrokenPipeError:
