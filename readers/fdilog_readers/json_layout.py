@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
-from itertools import chain
+import math
+import struct
+from collections.abc import Collection, Iterator, Mapping
 from operator import attrgetter
 from typing import Any
 
@@ -18,6 +19,7 @@ from fdilog_readers.message_schema import SEQUENCE, Field, Schema, UnknownTypeEr
 _NUMBERS = {"number": "float64", "integer": "int64", "boolean": "bool"}
 MAX_DEPTH = 16
 MAX_LIST_COLUMNS = 64
+MSGPACK_FLOAT = 0xCB
 
 Tree = dict[str, Any]
 
@@ -119,21 +121,22 @@ def _like(
 class JsonLayout:
     """Reads some leaves of JSON messages, all as float64; what a message lacks is not-a-number.
 
+    Messages of nothing but numbers, as nearly all are, are decoded to objects with a float in each
+    leaf and encoded again as MessagePack, in which every such object has the same bytes but for its
+    floats: the columns are then views of it, and no float is ever touched from Python.
+
     Parameters
     ----------
     wanted
         Dotted paths: ``header.stamp.sec``, ``angular_velocity[0]``, or a list of numbers.
     """
 
-    batch_bytes = 1 << 20
+    batch_bytes = 1 << 18  # a chunk as it comes, and its objects in the cache still
 
     def __init__(self, wanted: Collection[str]) -> None:
         import msgspec
 
         self._msgspec = msgspec
-        self._getters: dict[str, attrgetter[Any]] = {}
-        # Objects of nothing but numbers are taken apart at once, which is twice as fast.
-        self._vectors: list[tuple[attrgetter[Any], list[str]]] = []
         tree: Tree = {}
         for leaf in wanted:
             node = tree
@@ -142,37 +145,65 @@ class JsonLayout:
             for part in parts:
                 node = node.setdefault(part, {})
             node[last] = None
-        self._message = self._structure(tree, (), "")
+        leaves = dict(_leaves(tree, "", ()))
+        self._getters = {leaf: attrgetter(fields) for leaf, fields in leaves.items()}
+        floats = self._structure(tree, float, math.nan)
+        self._floats: Any = msgspec.json.Decoder(list[floats])  # type: ignore[valid-type]
+        self._encoder = msgspec.msgpack.Encoder()
+        self._raw = bytearray()  # used again and again: fresh memory costs more than the encoding
+        self._layout = self._encoded(floats, leaves)
+        number = float | bool | None
+        self._message = self._structure(tree, number | list[number], None)
         self._one: Any = msgspec.json.Decoder(self._message)
         self._many: Any = msgspec.json.Decoder(list[self._message])  # type: ignore[name-defined]
 
-    def _structure(self, tree: Tree, fields: tuple[str, ...], path: str) -> type:
+    def _structure(self, tree: Tree, leaf: Any, missing: Any) -> type:
         """Make the type of one object: keys may be any text, so its fields are numbered."""
-        msgspec = self._msgspec
+        field = self._msgspec.field
         defined: list[tuple[str, Any, Any]] = []
         names = {}
         for number, (key, below) in enumerate(tree.items()):
-            name = f"f{number}"
-            names[name] = key
+            names[f"f{number}"] = key
             if below is None:
-                leaf = f"{path}{key}"
-                number_type = float | bool | None
-                defined.append((name, number_type | list[number_type], None))
-                self._getters[leaf] = attrgetter(".".join((*fields, name)))
+                defined.append((f"f{number}", leaf, missing))
             else:
-                inner = self._structure(below, (*fields, name), f"{path}{key}.")
-                defined.append((name, inner, msgspec.field(default_factory=inner)))
-        if fields and all(below is None for below in tree.values()):
-            leaves = [f"{path}{key}" for key in tree]
-            self._vectors.append((attrgetter(".".join(fields)), leaves))
-        made: type = msgspec.defstruct("Message", defined, rename=names, gc=False)
+                inner = self._structure(below, leaf, missing)
+                defined.append((f"f{number}", inner, field(default_factory=inner)))
+        made: type = self._msgspec.defstruct("Message", defined, rename=names, gc=False)
         return made
+
+    def _encoded(self, floats: Any, leaves: Mapping[str, str]) -> np.dtype[np.void]:
+        """Find out where the floats of an encoded message are, by marks put into one."""
+        marked = floats()
+        marks = {leaf: number + 0.5 for number, leaf in enumerate(leaves)}
+        for leaf, fields in leaves.items():
+            owner, _, name = fields.rpartition(".")
+            setattr(attrgetter(owner)(marked) if owner else marked, name, marks[leaf])
+        raw = self._encoder.encode(marked)
+        # The byte before each float is no text that goes on like this: a key cannot hold a mark.
+        places = [raw.index(struct.pack(">Bd", MSGPACK_FLOAT, mark)) + 1 for mark in marks.values()]
+        described = {"names": list(leaves), "formats": [">f8"] * len(leaves), "offsets": places}
+        return np.dtype({**described, "itemsize": len(raw)})  # type: ignore[no-any-return, call-overload]
 
     def columns(self, batch: Batch) -> tuple[Columns, Mask]:
         """Read the wanted leaves of all messages; see ``Layout``."""
-        fits = np.ones(len(batch), np.bool_)
+        text = _as_list(batch)
         try:
-            messages = self._many.decode(_as_list(batch))
+            messages = self._floats.decode(text)
+        except (self._msgspec.MsgspecError, RecursionError):
+            return self._of_any_kind(batch, text)
+        if len(messages) != len(batch):
+            return self._of_any_kind(batch, text)
+        self._encoder.encode_into(messages, self._raw)
+        head = len(self._raw) - len(messages) * self._layout.itemsize
+        rows = np.frombuffer(self._raw, self._layout, offset=head)
+        return {leaf: rows[leaf].astype(np.float64) for leaf in self._getters}, _all(batch)
+
+    def _of_any_kind(self, batch: Batch, text: bytes | memoryview) -> tuple[Columns, Mask]:
+        """Read messages of which some lack a number, have a list, or cannot be read at all."""
+        fits = _all(batch)
+        try:
+            messages = self._many.decode(text)
         except (self._msgspec.MsgspecError, RecursionError):
             messages = []
         if len(messages) != len(batch):
@@ -181,17 +212,7 @@ class JsonLayout:
             empty = self._message()
             messages = [empty if message is None else message for message in messages]
         columns: Columns = {}
-        for parent, leaves in self._vectors:
-            parts = map(self._msgspec.structs.astuple, map(parent, messages))
-            try:
-                values = np.fromiter(chain.from_iterable(parts), np.float64)
-            except (TypeError, ValueError):  # something is missing, or is a list
-                continue
-            for k, leaf in enumerate(leaves):
-                columns[leaf] = values[k :: len(leaves)].copy()
         for leaf, getter in self._getters.items():
-            if leaf in columns:
-                continue
             try:
                 columns[leaf] = np.fromiter(map(getter, messages), np.float64, len(batch))
             except (TypeError, ValueError):  # something is missing, or is a list
@@ -212,6 +233,20 @@ class JsonLayout:
             return None
 
 
+def _leaves(tree: Tree, path: str, fields: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Yield the path of each leaf in the messages, and in the objects that they are decoded to."""
+    for number, (key, below) in enumerate(tree.items()):
+        here = (*fields, f"f{number}")
+        if below is None:
+            yield f"{path}{key}", ".".join(here)
+        else:
+            yield from _leaves(below, f"{path}{key}.", here)
+
+
+def _all(batch: Batch) -> Mask:
+    return np.ones(len(batch), np.bool_)
+
+
 def _as_list(batch: Batch) -> bytes | memoryview:
     """Make one JSON list of all messages, in place: blanks where a row has none of its message."""
     width = batch.rows.shape[1]
@@ -223,7 +258,7 @@ def _as_list(batch: Batch) -> bytes | memoryview:
     rows[0, 0] = ord("[")
     shortest = int(ends.min())
     tail = np.arange(shortest, rows.shape[1]) >= ends[:, np.newaxis]
-    rows[:, shortest:][tail] = ord(" ")
+    np.copyto(rows[:, shortest:], np.uint8(ord(" ")), where=tail)
     if ends[-1] == rows.shape[1]:
         return rows.tobytes() + b"]"
     rows[-1, -1] = ord("]")
