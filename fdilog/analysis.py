@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.calibration import Calibration, calibrate
+from fdilog.calibration import Calibration, calibrate, with_notes
 from fdilog.config import Config, load_config
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
@@ -155,7 +155,7 @@ def analyse(
     say = progress or (lambda _: None)
     say("reading")
     with opened(Path(path)) as log:
-        recording = read_opened(log, [source.topic for source in settings.sources.gyro])
+        recording = read_opened(log, _asked_for(settings))
         sha256 = log.sha256
     return analyse_recording(recording, settings, sha256=sha256, part=part, progress=say)
 
@@ -173,7 +173,10 @@ def analyse_recording(
     assembly = assemble(recording, config)
     table = _part_of(assembly, recording, part or Part())
     judged = judge(table, config, progress, assembly.witness)
-    completeness = _completeness(recording, assembly)
+    judged, notes = _held_against_model(
+        judged, recording, table, config, zero_ns=assembly.zero_ns, progress=progress
+    )
+    completeness = _completeness(recording, assembly, notes)
     return Analysis(
         log=_log_info(recording, assembly, sha256),
         completeness=completeness,
@@ -189,6 +192,34 @@ def analyse_recording(
         evidence=judged.evidence,
         config=config,
     )
+
+
+def _asked_for(config: Config) -> list[str]:
+    """List the streams that the configuration names, gyros and others."""
+    from fdilog.signals import streams_of
+
+    named = (*config.observer.outputs, *config.observer.inputs)
+    return [*(source.topic for source in config.sources.gyro), *streams_of(named)]
+
+
+def _held_against_model(
+    judged: Judgement,
+    recording: Recording,
+    table: ChannelTable,
+    config: Config,
+    *,
+    zero_ns: int,
+    progress: Callable[[str], None],
+) -> tuple[Judgement, list[str]]:
+    """Add what a model of the vehicle says, with what a reader should know of it."""
+    from fdilog.modelled import with_model
+    from fdilog.signals import find_signals
+
+    named = dict.fromkeys((*config.observer.outputs, *config.observer.inputs))
+    beside = [name for name in named if name not in table.names]
+    signals, complaints = find_signals(recording, beside, zero_ns)
+    judged, notes = with_model(judged, table, signals, config, progress)
+    return judged, [*(f"observer: {complaint}" for complaint in complaints), *notes]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -209,8 +240,9 @@ def judge(
 ) -> Judgement:
     """Run the detectors on a table and decide.
 
-    Detectors that judge each channel by itself go first. What they accuse is kept out of the
-    comparisons, so that one fault gives one finding and drags no other channel along.
+    First of all every device is brought into the mounting that its rates show. Detectors that judge
+    each channel by itself go next. What they accuse is kept out of the comparisons, so that one
+    fault gives one finding and drags no other channel along.
 
     The gyros decide among themselves. Derived channels are compared only with gyros that no other
     gyro checks, and else only heard where the gyros leave several suspects.
@@ -218,12 +250,16 @@ def judge(
     from fdilog import decision
     from fdilog import findings as of
     from fdilog.biases import bias_findings
+    from fdilog.mounting import mounting_findings, mountings, turned_back
     from fdilog.registry import detectors, plugins
     from fdilog.scales import scale_findings
     from fdilog.windows import Survey, cut, spans
 
     names = config.detectors.use or _default_order(plugins("detectors"))
     chosen = list(detectors(names))
+    progress("mounting")
+    mounted = mountings(table)
+    table = turned_back(table, mounted.found)
     gyros = table.gyros
     whole = Survey(
         table=gyros,
@@ -240,6 +276,7 @@ def judge(
     if witness is not None:
         heard = testified.columns(compared_channels(testified))
     sound, calibration = calibrate(heard, config)
+    calibration = with_notes(calibration, mounted.notes())
     sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
     for name, detector in chosen:
@@ -261,6 +298,7 @@ def judge(
     biased = bias_findings(heard, sound, compared, config, hearing)
     biased += scale_findings(heard, sound, calibration, biased, config)
     findings = [
+        *mounting_findings(table, mounted.found),
         *of.self_evident_findings(gyros, alone),
         *of.noise_findings(heard, noisy),
         *of.guaranteed_findings(heard, sampled, biased, config),
@@ -386,8 +424,11 @@ def _armed(
     return armed
 
 
-def _completeness(recording: Recording, assembly: Assembly) -> Completeness:
-    problems = (*recording.problems, *assembly.problems)
+def _completeness(
+    recording: Recording, assembly: Assembly, notes: Sequence[str] = ()
+) -> Completeness:
+    said = (Problem(what=note, note=True) for note in notes)
+    problems = (*recording.problems, *assembly.problems, *said)
     losses = [problem for problem in problems if not problem.note]
     return Completeness(
         whole=not losses,

@@ -9,6 +9,7 @@ is never taken out, for a bias is what is looked for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,6 +206,16 @@ def _described(
             )
         )
     return tuple(found)
+
+
+def with_notes(
+    calibration: Sequence[Calibration], notes: Mapping[str, str]
+) -> tuple[Calibration, ...]:
+    """Add to the notes of some sources."""
+    return tuple(
+        replace(one, note="; ".join(filter(None, (one.note, notes.get(one.source)))) or None)
+        for one in calibration
+    )
 
 
 def _three(values: Floats) -> tuple[float, float, float]:

@@ -29,7 +29,7 @@ def channel_status(
         (item for item in evidence if item.detector == lead),
         key=lambda item: -item.windows.length_s,
     )
-    alone = {f.suspects[0] for f in findings if f.isolated}
+    alone = {name for f in findings if f.isolated for name in f.suspects}
     shared = {name for f in findings if not f.isolated for name in f.suspects}
     status: list[Status] = []
     for channel, name in enumerate(table.names):

@@ -66,6 +66,13 @@ class Evidence:
         channel carries isolates it.
     confidence
         Of the interval; 1 for a guaranteed one.
+    beside
+        For each window, suspects that are no channels of the table: a speed, say, that a model
+        predicts as well. Empty if there are none in any.
+    details
+        For each window, what a finding of it should say. Empty if there is nothing to say.
+    note
+        What a reader should know of the answer as a whole: a condition that was not met.
     """
 
     detector: str
@@ -77,6 +84,9 @@ class Evidence:
     tolerance: NDArray[np.float64]
     accused: NDArray[np.int8]
     confidence: float
+    beside: tuple[tuple[str, ...], ...] = ()
+    details: tuple[str, ...] = ()
+    note: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +113,9 @@ class Finding:
     """One fault: what, who, from when to when, how large, and who says so.
 
     ``suspects`` holds one channel if the fault is isolated, several if the redundancy of the log
-    cannot tell them apart; it is never a guess. Times are seconds of flight time.
+    cannot tell them apart; it is never a guess. A device that is mounted wrongly is one fault of
+    all its channels: then ``one_source`` says that it is this device. Times are seconds of flight
+    time.
     """
 
     kind: Kind
@@ -116,8 +128,9 @@ class Finding:
     dissent: tuple[str, ...] = ()
     witness: str | None = None
     detail: str = ""
+    one_source: bool = False
 
     @property
     def isolated(self) -> bool:
-        """Whether a single channel is accused."""
-        return len(self.suspects) == 1
+        """Whether a single channel is accused, or a single device as a whole."""
+        return len(self.suspects) == 1 or self.one_source

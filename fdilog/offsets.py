@@ -18,6 +18,9 @@ PIECES = 12
 FEWEST_PIECES = 4
 # A piece counts if the two sources agree this well at the best lag: at rest, noise decides it.
 LEAST_CORRELATION = 0.7
+# Turned as they best fit, two triads correlate by the sum of the singular values of their moments.
+# That is what counts if it is so much more than as they are: then one is mounted otherwise.
+ALIGNED = 0.9
 # Motion of a vehicle holds nothing that a hundred samples a second do not show.
 FINEST_STEP_S = 0.01
 # Means over this time, twice, leave the motion of the vehicle. Vibration must go: aliased by the
@@ -101,12 +104,13 @@ def _best_lag(one: Floats, other: Floats, lags: int) -> float | None:
     inner = one[lags : len(one) - lags]
     if len(inner) < 2 * lags:
         return None
-    products = np.array(
-        [
-            float((inner * other[lags + k : len(other) - lags + k]).sum())
-            for k in range(-lags, lags + 1)
-        ]
+    moments = np.array(
+        [inner.T @ other[lags + k : len(other) - lags + k] for k in range(-lags, lags + 1)]
     )
+    products = np.einsum("kii->k", moments)
+    turned = np.linalg.svd(moments, compute_uv=False).sum(axis=1)
+    if products.max() < ALIGNED * turned.max():
+        products = turned
     power = np.sqrt(float((inner**2).sum()) * float((other[lags : len(other) - lags] ** 2).sum()))
     best = int(products.argmax())
     if power <= 0 or products[best] < LEAST_CORRELATION * power or not 0 < best < 2 * lags:

@@ -16,6 +16,7 @@ from fdilog.anchors import Anchors
 from fdilog.attitude import logged_attitude, mean_rates, rotation_vectors
 from fdilog.clocks import HOLE_PERIODS, clean_stamps
 from fdilog.config import Config
+from fdilog.mounting import mountings
 from fdilog.offsets import ClockOffset, estimate_offset
 from fdilog.recording import Recording, Stream
 from fdilog.table import Channel, ChannelTable
@@ -37,6 +38,9 @@ FEWEST_LIVELY = 10
 FOLLOWED = 0.5
 """A witness explains at least half of the motion of some gyros, second by second, where there is
 any to speak of: else it is that of another body, or lost."""
+
+ONE_BODY_FRAME = ("dataflash", "dataflash-text", "tlog", "ulog")
+"""Formats of autopilots, which log gyros and attitude in the frame of the vehicle."""
 
 JUMP_RAD = np.radians(5.0)
 """A step that turns so much further than any gyro says is a jump: a lane switch, a reset of yaw."""
@@ -123,7 +127,14 @@ def find_witness(
     attitude = _without_jumps(attitude, table)
     turn = rotation_vectors(attitude.quaternion)
     rate, valid = mean_rates(attitude.time_s, turn, attitude.sound, table.time_s)
-    if _contradicts(table, rate):
+    with_attitude = ChannelTable(
+        time_s=table.time_s,
+        rate_rad_s=np.column_stack([table.rate_rad_s, rate]),
+        valid=np.column_stack([table.valid, valid, valid, valid]),
+        channels=(*table.channels, *_channels(attitude)),
+        period_s=table.period_s,
+    )
+    if _contradicts(table, rate) and not _turned(recording, with_attitude):
         return "it contradicts every gyro: turned otherwise than they are, or lost"
     anchors = anchored(recording, attitude, zero_ns, config)
     if anchors is None:
@@ -132,13 +143,6 @@ def find_witness(
     if flight is not None and flight.lost:
         tilt_deg = np.degrees(flight.tilt_rad)
         return f"lost: {tilt_deg:.0f} deg from the accelerometers' vertical for half of the flight"
-    with_attitude = ChannelTable(
-        time_s=table.time_s,
-        rate_rad_s=np.column_stack([table.rate_rad_s, rate]),
-        valid=np.column_stack([table.valid, valid, valid, valid]),
-        channels=(*table.channels, *_channels(attitude)),
-        period_s=table.period_s,
-    )
     return with_attitude, Witness(
         stream=stream.name, attitude=attitude, anchors=anchors, clock=clock
     )
@@ -162,6 +166,15 @@ def _contradicts(table: ChannelTable, rate: Floats) -> bool:
         if lively.sum() >= FEWEST_LIVELY:
             shares.append(float(np.median(apart[lively] / moving[lively])))
     return bool(shares) and min(shares) > FOLLOWED
+
+
+def _turned(recording: Recording, table: ChannelTable) -> bool:
+    """Tell whether the gyro is mounted wrongly in the body frame in which the attitude is.
+
+    An autopilot has one body frame. What a ROS log calls an attitude may be that of any frame, and
+    then tells nothing of the gyro's mounting.
+    """
+    return recording.format in ONE_BODY_FRAME and bool(mountings(table).found)
 
 
 def _channels(attitude: Attitude) -> tuple[Channel, ...]:
