@@ -19,16 +19,18 @@ if TYPE_CHECKING:
     from fdilog.recording import Recording
     from fdilog.windows import Survey
 
-Stage = Literal["alone", "samples", "windows"]
+Stage = Literal["alone", "samples", "windows", "model"]
 """What a detector is shown: the whole table, to judge each channel by itself, before the others are
-compared; every sample as a window of its own; or the windows of each configured length."""
+compared; every sample as a window of its own; the windows of each configured length; or the whole
+table with the signals that a model of the vehicle needs."""
 
 
 class Reader(Protocol):
     """A module that reads one log format; its entry-point name is the format's name.
 
     One whose logs are directories also has ``sniff_directory(path) -> bool``, and ``read`` is given
-    the directory.
+    the directory. If others may lie in it beside the log's own files, ``files_of(path)`` gives the
+    names of its own.
     """
 
     suffixes: tuple[str, ...]
@@ -147,6 +149,22 @@ def is_log_directory(path: Path) -> bool:
     """Whether a directory is one log as a whole, such as a ROS 2 bag, and not a folder of logs."""
     readers = plugins("readers").values()
     return any(r.sniff_directory(path) for r in readers if hasattr(r, "sniff_directory"))
+
+
+def files_of_log(path: Path) -> frozenset[str]:
+    """Return the names in a directory that belong to the log that it is; all, if no reader says.
+
+    Raises
+    ------
+    OSError
+        If the directory cannot be listed.
+    """
+    for reader in plugins("readers").values():
+        if hasattr(reader, "sniff_directory") and reader.sniff_directory(path):
+            if hasattr(reader, "files_of"):
+                return frozenset(reader.files_of(path))
+            break
+    return frozenset(file.name for file in path.iterdir())
 
 
 def _reader_of_directory(path: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import stat
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -12,10 +13,12 @@ from typing import Any
 
 from fdilog.errors import UsageError
 from fdilog.opening import HEAD_BYTES, head_of
-from fdilog.registry import is_log_directory, plugins
+from fdilog.registry import files_of_log, is_log_directory, plugins
 
 PACKED = (".gz", ".zst", ".zip")
 """Suffixes before which the suffix of the format may stand."""
+UNFINISHED = (".tmp", ".temp", ".part", ".partial", ".filepart", ".crdownload", ".download")
+"""Suffixes that copying programs put behind the name of a file until they are done with it."""
 DESCRIPTION = "metadata.yaml"
 """What makes a folder one log: the recorder of ROS 2 bags writes it when it ends."""
 
@@ -102,20 +105,24 @@ def _found_by(target: str, output: Path | None) -> Iterator[Candidate]:
 
 def _named(path: str, output: Path | None) -> Iterator[Candidate]:
     """Give a file that was named, or all that a folder holds that was named."""
-    if os.path.isdir(path) and not _is_one_log(path):  # noqa: PTH112
+    if os.path.isdir(path):  # noqa: PTH112
         yield from _below(path, output)
     else:
         yield _candidate(path, root=os.path.dirname(path) or ".")  # noqa: PTH120
 
 
 def _below(root: str, output: Path | None) -> Iterator[Candidate]:
-    """Every log in a folder and below it; a folder is entered once, whatever links lead to it."""
+    """Every log in a folder and below it; a folder is entered once, whatever links lead to it.
+
+    What lies in the folder of a bag and is no part of it is looked at like anything else.
+    """
     entered: set[tuple[int, int]] = set()
     if output is not None and output.is_dir():
         entered.add(_identity(output))
-    waiting = [root]
-    while waiting:
-        folder = waiting.pop()
+    waiting, links = [root], deque[str]()
+    while waiting or links:
+        # Links last: what has a place of its own in the folder is known by that.
+        folder = waiting.pop() if waiting else links.popleft()
         try:
             place = _identity(folder)
             if place in entered:
@@ -123,27 +130,34 @@ def _below(root: str, output: Path | None) -> Iterator[Candidate]:
             entered.add(place)
             with os.scandir(folder) as entries:
                 listed = sorted(entries, key=lambda entry: os.fsencode(entry.name))
+            is_one_log = _is_one_log(folder)
+            parts = files_of_log(Path(folder)) if is_one_log else frozenset()
         except OSError as error:
             yield Candidate(path=folder, root=root, error=f"folder: {_reason(error)}")
             continue
+        if is_one_log:
+            yield _candidate(folder, root)
         for entry in listed:
-            if _is_folder(entry) and _is_one_log(entry.path):
-                yield _candidate(entry.path, root)
-            elif _is_folder(entry):
-                waiting.append(entry.path)
+            if _is_folder(entry):
+                (links if entry.is_symlink() else waiting).append(entry.path)
                 yield from _named_like_a_log_but_a_folder(entry, root)
-            elif _may_be_a_log(entry):
+            elif entry.name not in parts and _may_be_a_log(entry):
                 yield _candidate(entry.path, root)
 
 
 def _may_be_a_log(entry: os.DirEntry[str]) -> bool:
-    if entry.name.startswith("."):
-        return False  # what rsync has not finished, what a file manager left behind
-    return _named_like_a_log(entry.name) or _begins_like_a_log(entry.path)
+    if is_unfinished(entry.name):
+        return False
+    return named_like_a_log(entry.name) or _begins_like_a_log(entry.path)
+
+
+def is_unfinished(name: str) -> bool:
+    """Tell what is still being copied: rsync, browsers and others rename it when it is whole."""
+    return name.startswith(".") or PurePath(name).suffix.lower() in UNFINISHED
 
 
 def _named_like_a_log_but_a_folder(entry: os.DirEntry[str], root: str) -> Iterator[Candidate]:
-    if _named_like_a_log(entry.name) and not _holds_a_log(entry.path):
+    if named_like_a_log(entry.name) and not _holds_a_log(entry.path):
         reason = "is a directory, not a log, and holds none"
         yield Candidate(path=entry.path, root=root, error=reason)
 
@@ -207,7 +221,8 @@ def readers() -> dict[str, Any]:
     return plugins("readers")
 
 
-def _named_like_a_log(name: str) -> bool:
+def named_like_a_log(name: str) -> bool:
+    """Tell a log by its suffix, or by that before the one of a packed file."""
     pure = PurePath(name)
     suffix = pure.suffix.lower()
     if suffix in PACKED:

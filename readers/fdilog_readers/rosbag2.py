@@ -25,6 +25,7 @@ INFORMATION = "rosbag2_bagfile_information"
 STORED = re.compile(r"\.(db3|mcap)(\.zstd)?$")
 COPY_BYTES = 1 << 20
 DESCRIPTION_BYTES = 64 << 20
+HEAD_BYTES = 1 << 16
 
 
 def sniff(head: bytes) -> bool:
@@ -38,7 +39,24 @@ def sniff_directory(path: Path) -> bool:
     A recorder numbers its files (``name_0.mcap``, ``name_1.mcap``); a folder of files with names of
     their own holds several recordings, which are not to be mixed.
     """
-    return (path / DESCRIPTION).is_file() or len({_unnumbered(f) for f in _files_in(path)}) == 1
+    return _describes(path / DESCRIPTION) or len({_unnumbered(f) for f in _files_in(path)}) == 1
+
+
+def files_of(path: Path) -> tuple[str, ...]:
+    """Return the names of the files that make up a bag; others may lie in its folder."""
+    there = _files_in(path)
+    recorded = len({_unnumbered(file) for file in there}) == 1  # what one recorder numbered
+    files = there if recorded else _described(path).files
+    return (DESCRIPTION, *(file.name for file in files))
+
+
+def _describes(description: Path) -> bool:
+    """Tell a bag's description from other files of so common a name."""
+    try:
+        with description.open("rb") as file:
+            return INFORMATION.encode() in file.read(HEAD_BYTES)
+    except OSError:
+        return False
 
 
 def read(path: Path, also: Collection[str] = ()) -> Recording:

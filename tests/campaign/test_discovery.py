@@ -48,15 +48,61 @@ def test_links_in_a_circle_are_followed_once(tmp_path: Path) -> None:
     assert len(names(tmp_path)) == 1
 
 
+DESCRIBED = "rosbag2_bagfile_information:\n  relative_file_paths: [{}]\n"
+
+
+def files(folder: Path, *names: str) -> None:
+    """Make files that are known by their names; those of bags begin as theirs do."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"SQLite format 3\0" if name.endswith(".db3") else b"")
+
+
 def test_a_bag_with_its_description_is_one_log_and_a_folder_of_files_is_not(
     tmp_path: Path,
 ) -> None:
     for folder in ("bag", "files"):
-        (tmp_path / folder).mkdir()
-        for number in range(2):
-            (tmp_path / folder / f"part_{number}.db3").write_bytes(b"SQLite format 3\0")
-    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+        files(tmp_path / folder, "part_0.db3", "part_1.db3")
+    (tmp_path / "bag" / "metadata.yaml").write_text(DESCRIBED.format("part_0.db3, part_1.db3"))
+    for link in ("a link", "link to the bag"):
+        (tmp_path / link).symlink_to(tmp_path / "bag")
     assert names(tmp_path) == ["bag", "files/part_0.db3", "files/part_1.db3"]
+    assert names(tmp_path, "bag") == ["bag"]
+
+
+@pytest.mark.parametrize("logs", [("a.mcap", "b.mcap"), ("flight_1.mcap", "flight_2.mcap")])
+def test_mcap_files_side_by_side_are_logs_of_their_own(
+    tmp_path: Path, logs: tuple[str, ...]
+) -> None:
+    files(tmp_path / "flights", *logs)
+    assert names(tmp_path) == [f"flights/{name}" for name in logs]
+
+
+def test_a_description_of_something_else_makes_no_bag_of_a_campaign(tmp_path: Path) -> None:
+    """Data sets have a metadata.yaml, too; their logs must not vanish behind it."""
+    (tmp_path / "metadata.yaml").write_text("title: two years of flights\nlicense: none\n")
+    files(tmp_path, "b.bin", "c.tlog")
+    files(tmp_path / "a", "x.mcap", "y.mcap")
+    assert names(tmp_path) == ["a/x.mcap", "a/y.mcap", "b.bin", "c.tlog"]
+
+
+def test_what_lies_in_a_bag_and_is_no_part_of_it_is_a_log_of_its_own(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    files(bag, "bag_0.db3", "bag_1.db3", "other.mcap", "autopilot.bin", "notes.txt")
+    files(bag / "more", "later.ulg")
+    (bag / "metadata.yaml").write_text(DESCRIBED.format("bag_0.db3, bag_1.db3"))
+    others = ["bag/autopilot.bin", "bag/more/later.ulg", "bag/other.mcap"]
+    assert names(tmp_path) == ["bag", *others]
+    (bag / "other.mcap").unlink()
+    assert names(tmp_path) == ["bag", *others[:2]]
+
+
+@pytest.mark.parametrize("suffix", [".tmp", ".part", ".crdownload", ".TMP"])
+def test_what_is_still_being_copied_is_no_log_yet(tmp_path: Path, suffix: str) -> None:
+    log = flight(tmp_path / "f.bin", 1)
+    log.rename(tmp_path / f"f.bin{suffix}")
+    assert names(tmp_path) == []
+    assert names(tmp_path, f"f.bin{suffix}") == [f"f.bin{suffix}"]  # but if it is named, it is one
 
 
 @pytest.mark.parametrize(
