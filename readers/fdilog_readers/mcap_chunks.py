@@ -15,9 +15,11 @@ from fdilog_readers.columns import Bytes, Offsets, rows
 from fdilog_readers.file_bytes import read_at
 from fdilog_readers.mcap_records import (
     INDEX_ENTRY,
+    INDEX_HEAD,
     MESSAGE,
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
+    MESSAGE_INDEX,
     RECORD,
     ChunkPlace,
     DamagedRecordError,
@@ -27,6 +29,9 @@ from fdilog_readers.mcap_records import (
 from fdilog_readers.message_batch import Batch, side_by_side
 
 Timed = tuple[NDArray[np.int64], Batch]
+
+# What a disk or a card loses, it loses in blocks of this size at least.
+DAMAGE_BYTES = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,8 @@ class Chunk:
         there is no index, or it does not hold true.
     failure
         Why there are no records.
+    index_damage
+        Where in the file the indexes behind it are not what they should be, or -1. [byte]
     """
 
     place: ChunkPlace
@@ -49,6 +56,7 @@ class Chunk:
     records: Bytes | None = None
     batches: dict[tuple[int, ...], list[Timed]] | None = None
     failure: str = ""
+    index_damage: int = -1
 
     @property
     def is_large(self) -> bool:
@@ -79,7 +87,12 @@ def load(file: int, place: ChunkPlace, topics: tuple[tuple[int, ...], ...]) -> C
         return Chunk(place, failure=str(error))
     except OSError as error:
         return Chunk(place, failure=(error.strerror or str(error)).lower())
-    return Chunk(place, head, records, _indexed(records, raw, place, topics))
+    batches = None
+    damage = _index_damage(raw, place, head)
+    if damage < 0 and topics:
+        batches = _indexed(records, raw, place, topics)
+        damage = place.start + place.length if batches is None else damage
+    return Chunk(place, head, records, batches, index_damage=damage)
 
 
 def _indexed(
@@ -94,7 +107,30 @@ def _indexed(
         if batches is None:
             return None
         found[channels] = batches
-    return found or None
+    return found
+
+
+def _index_damage(raw: memoryview, place: ChunkPlace, head: ChunkHead) -> int:
+    """Return where the message indexes are not what the summary says, or -1. [byte]
+
+    They have no checksum. Those of the wanted channels prove themselves by what they name; of the
+    others the heads are looked at, and the times of what is longer than a block of a disk: damage
+    comes in blocks, and less than one leaves no room between two heads.
+    """
+    for channel, offset in place.indexes.items():
+        at = offset - place.start
+        if not place.length <= at <= len(raw) - INDEX_HEAD.size:
+            return offset
+        opcode, length, number, size = INDEX_HEAD.unpack_from(raw, at)
+        end = at + INDEX_HEAD.size + size
+        if (opcode, number, length) != (MESSAGE_INDEX, channel, 6 + size) or end > len(raw):
+            return offset
+        if size >= DAMAGE_BYTES:
+            entries = np.frombuffer(raw[at + INDEX_HEAD.size : end], INDEX_ENTRY)
+            times_ns = entries["log_time"].copy()
+            if times_ns.min() < head.start_ns or times_ns.max() > head.end_ns:
+                return offset
+    return -1
 
 
 def _entries(

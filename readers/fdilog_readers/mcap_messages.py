@@ -26,7 +26,7 @@ from fdilog_readers.mcap_records import (
     DamagedRecordError,
     MessageChain,
 )
-from fdilog_readers.mcap_scan import Contents, Loose, walk
+from fdilog_readers.mcap_scan import LONGEST_RECORD, Contents, Loose, is_known, walk
 from fdilog_readers.message_reading import open_topic
 from fdilog_readers.topics import Topic, Topics
 
@@ -39,6 +39,7 @@ class Messages:
         self.contents = contents
         self.data = data
         self.checked = self.unchecked = False
+        self.passed_over = 0
         self._topic_of: dict[int, Topic] = {}
         self._counts: Counter[int] = Counter()
         for channel in list(contents.channels.values()):
@@ -51,6 +52,11 @@ class Messages:
         for number, count in self._counts.items():
             if number in self._topic_of:
                 self._topic_of[number].count += count
+        if self.passed_over:
+            what = (
+                f"{self.passed_over} chunks hold no gyro and were not read, so not checked either"
+            )
+            self.contents.problems.append(Problem(what=what, note=True))
         self._check_counts()
         self._check_data()
 
@@ -103,9 +109,14 @@ class Messages:
         if isinstance(item, Loose):
             self.unchecked = True
             self._sort(item.records, item.offsets)
-        elif item.failure:
+        else:
+            self._take_chunk(item)
+
+    def _take_chunk(self, item: Chunk) -> None:
+        if item.failure:
             self._lost(item.place, item.failure)
         elif item.head is None:
+            self.passed_over += 1
             self._counts.update(item.place.counts())
         elif item.records is None:
             self._take_large(item, item.head)
@@ -116,9 +127,11 @@ class Messages:
             self._counts.update(item.place.counts())
         elif self._take_records(item.records) < len(item.records):
             self._lost(item.place, "its records contradict each other")
-        if isinstance(item, Chunk) and item.head:
+        if item.head:
             self.checked |= item.head.crc != 0
             self.unchecked |= item.head.crc == 0
+            if item.index_damage >= 0:
+                self._index_lost(item.place, item.index_damage)
 
     def _lost(self, place: ChunkPlace, why: str) -> None:
         problem = Problem(
@@ -129,17 +142,29 @@ class Messages:
         )
         self.contents.problems.append(problem)
 
+    def _index_lost(self, place: ChunkPlace, offset: int) -> None:
+        what = "the message indexes behind a chunk are damaged; its records were read one by one"
+        self.contents.problems.append(
+            Problem(what=what, offset=offset, bytes_lost=max(0, place.end - offset))
+        )
+
     def _take_records(self, records: Bytes) -> int:
         """Take records that lie end to end; return how many bytes of them make sense."""
         chain = MessageChain(records)
         at = 0
         while True:
             offsets, at = chain.follow(at)
-            self._sort(records, offsets)
             if at + RECORD.size > len(records):
+                self._sort(records, offsets)
                 return at
             opcode, length = RECORD.unpack_from(records.data, at)
             end = at + RECORD.size + length
+            if not is_known(opcode) or length > LONGEST_RECORD:
+                # Damage that no checksum shows may have begun inside the last message.
+                at = int(offsets[-1]) if len(offsets) else at
+                self._sort(records, offsets[:-1])
+                return at
+            self._sort(records, offsets)
             if opcode == MESSAGE or end > len(records):
                 return at
             try:

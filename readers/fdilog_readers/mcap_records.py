@@ -26,6 +26,7 @@ RECORD = struct.Struct("<BQ")
 CHUNK_FIELDS = struct.Struct("<QQQI")
 CHUNK_INDEX_FIELDS = struct.Struct("<QQQQI")
 INDEX_OFFSET = struct.Struct("<HQ")
+INDEX_HEAD = struct.Struct("<BQHI")
 FOOTER_FIELDS = struct.Struct("<QQI")
 
 # opcode, length, channel, sequence, log time, publish time; the data follows.

@@ -49,6 +49,9 @@ HEAD_BYTES = 128
 # A channel or schema record longer than this is no definition; the largest in use are below 1 MB.
 DEFINITION_BYTES = 16 << 20
 
+# A length of eight bytes that are anything else is nearly always more than this.
+LONGEST_RECORD = 1 << 40
+
 
 @dataclass
 class Contents:
@@ -166,19 +169,24 @@ def walk(data: FileBytes, contents: Contents) -> Iterator[ChunkPlace | Loose]:
             records = data.at(at, max(LOOSE_BYTES, RECORD.size + length))
             buffer = np.frombuffer(records, np.uint8)
             offsets, taken = MessageChain(buffer).follow(0)
-            yield Loose(buffer, offsets)
-            at += taken
+            if _is_confirmed(data, at + taken):
+                yield Loose(buffer, offsets)
+                at += taken
+            else:  # the damage may have begun inside the last message
+                yield Loose(buffer, offsets[:-1])
+                at = _resynchronise(data, contents, at + int(offsets[-1]))
         elif opcode == CHUNK and _is_chunk(data, contents, at) and end <= data.size:
             yield ChunkPlace(at, RECORD.size + length)
             at = end
-        elif opcode not in {MESSAGE, CHUNK, DATA_END} and _is_known(opcode) and end <= data.size:
+        elif opcode not in {MESSAGE, CHUNK, DATA_END} and is_known(opcode) and end <= data.size:
             _look_at(data, contents, at, opcode, length)
             at = end
         else:
             at = _resynchronise(data, contents, at)
 
 
-def _is_known(opcode: int) -> bool:
+def is_known(opcode: int) -> bool:
+    """Whether the format has such a record, or allows one."""
     return 0 < opcode <= DATA_END or opcode >= PRIVATE
 
 
@@ -281,6 +289,15 @@ def _surely(data: FileBytes, contents: Contents, opcode: int, at: int, end: int)
         known = channel in contents.channels
         return length >= MESSAGE_FIELDS_BYTES and known and _follows(data, end)
     return length == (4 if opcode == DATA_END else FOOTER_FIELDS.size) and _follows(data, end)
+
+
+def _is_confirmed(data: FileBytes, at: int) -> bool:
+    """Whether what begins here says that the record before it ended well: a record, or a cut."""
+    head = data.at(at, RECORD.size)
+    if len(head) < RECORD.size or head == MAGIC:
+        return True
+    opcode, length = RECORD.unpack(head)
+    return is_known(opcode) and length <= LONGEST_RECORD
 
 
 def _follows(data: FileBytes, at: int) -> bool:
