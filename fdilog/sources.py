@@ -30,6 +30,9 @@ MOVING_STEPS = 5.0
 FEWEST_TO_COMPARE = 10
 # Offsets below this part of a sampling period stay in; see `_aligned`.
 LEAST_SHIFT = 0.25
+# Beyond this a number is damage and no reading: 30 cm from the axis of such a turn, a point would
+# move at the speed of light. Characters lost on a serial line have made readings of 30 000 rad/s.
+MOST_RAD_S = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,12 +256,14 @@ def _gyro(stream: Stream, name: str, recording: Recording) -> Gyro:
         for field in stream.gyro
     ]
     letters = AXIS_NAMES if len(columns) == 3 else [str(k) for k in range(len(columns))]
+    rate_rad_s = np.column_stack(columns)
+    rate_rad_s[np.abs(rate_rad_s) > MOST_RAD_S] = np.nan
     return Gyro(
         name=name,
         stream=stream,
         channel_names=stream.channel_names or tuple(f"{name}.{letter}" for letter in letters),
         time_ns=stream.time_ns,
-        rate_rad_s=np.column_stack(columns),
+        rate_rad_s=rate_rad_s,
         alive=_accelerometer_alive(stream, recording),
     )
 
@@ -533,7 +538,7 @@ def _not_finite(gyros: list[Gyro]) -> list[Problem]:
             bad = int((~np.isfinite(gyro.rate_rad_s[:, k])).sum())
             if bad:
                 lost = bad / _rate_hz(gyro.time_ns) if len(gyro.time_ns) > 1 else None
-                what = f"{name}: {bad} readings are not finite numbers"
+                what = f"{name}: {bad} readings are not finite numbers, or beyond any turn"
                 problems.append(Problem(what=what, seconds_lost=lost))
     return problems
 
