@@ -68,6 +68,9 @@ def _opened(path: Path, problems: list[Problem]) -> Iterator[sqlite3.Connection]
     missing = pages * page_bytes - size
     if missing > 0 and head[24:28] == head[92:96]:  # else the number of pages is out of date
         problems.append(Problem(what=f"{path.name} is cut", offset=size, bytes_lost=missing))
+    elif missing < 0 and head[24:28] == head[92:96]:
+        what = f"bytes behind the last page of {path.name}"
+        problems.append(Problem(what=what, offset=size + missing, bytes_lost=-missing, note=True))
     beside = [path.with_name(path.name + suffix) for suffix in UNFINISHED]
     beside = [other for other in beside if other.is_file() and other.stat().st_size]
     if beside:

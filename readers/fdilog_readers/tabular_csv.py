@@ -202,14 +202,21 @@ class _Table:
         self._line += len(ends)
 
     def take_last(self, block: Bytes, start: int) -> None:
-        """Read a last line that no newline ends: a row if it is whole, else cut short."""
+        """Read a last line that no newline ends: a row if it is whole, else cut short.
+
+        Its last number is not believed: of -9.2e-05 a cut leaves -9.2.
+        """
         line = block.tobytes()
         if not line.strip():
             return
         row, words = self._row(line)
         bad = [column for column in words if column not in self._without_numbers()]
+        if len(row) == len(self._headers):
+            row[-1] = np.nan
         if len(row) == len(self._headers) and np.isfinite(row[self._key]) and not bad:
             self._pieces.append(np.array([row]))
+            what = f"line {self._line} has no end: its last cell may be cut short, left out"
+            self._notes.append(Problem(what=what, offset=start, note=True))
         else:
             what = f"line {self._line}, the last one, is incomplete: writing stopped there"
             self._notes.append(Problem(what=what, offset=start, bytes_lost=len(line), note=True))

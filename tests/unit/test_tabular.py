@@ -192,15 +192,20 @@ def test_a_last_row_that_was_cut_is_a_note(tmp_path: Path, cut: str) -> None:
     missing = cut.endswith(",")  # a whole row whose last cell is empty, as far as anyone can tell
     assert losses(recording) == []
     assert len(only(recording).time_ns) == 1 + missing
-    assert notes(recording) == (
-        [] if missing else ["line 3, the last one, is incomplete: writing stopped there"]
-    )
+    assert notes(recording) == [
+        "line 3 has no end: its last cell may be cut short, left out"
+        if missing
+        else "line 3, the last one, is incomplete: writing stopped there"
+    ]
 
 
-def test_a_last_row_needs_no_newline(tmp_path: Path) -> None:
-    recording = read(tmp_path, "time_s,g1\n0,1\n1,2")
-    assert only(recording).columns["g1"].tolist() == [1.0, 2.0]
-    assert recording.problems == ()
+def test_a_last_number_that_no_newline_ends_is_not_believed(tmp_path: Path) -> None:
+    recording = read(tmp_path, "time_s,g1,g2\n0,1,2\n1,3,-9.2")  # of -9.2e-05, maybe
+    columns = only(recording).columns
+    assert columns["g1"].tolist() == [1.0, 3.0]
+    assert np.array_equal(columns["g2"], [2.0, np.nan], equal_nan=True)
+    assert notes(recording) == ["line 3 has no end: its last cell may be cut short, left out"]
+    assert losses(recording) == []
 
 
 def test_a_table_without_rows_has_channels_without_samples(tmp_path: Path) -> None:
