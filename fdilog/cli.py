@@ -104,7 +104,21 @@ def _known_errors() -> Iterator[None]:
 
 def _complain(text: str) -> None:
     """Write one line to standard error, whatever the text holds."""
-    typer.echo("fdilog: " + " ".join(text.split()), err=True)
+    _note(f"fdilog: {' '.join(text.split())}")
+
+
+def _note(text: str) -> None:
+    """Write a line to standard error."""
+    from fdilog.visible import visible
+
+    typer.echo(visible(text), err=True)
+
+
+def _print(text: str) -> None:
+    """Write lines of text to standard output; JSON goes out as it is."""
+    from fdilog.visible import visible_lines
+
+    typer.echo(visible_lines(text), nl=False)
 
 
 def _warning(message: Warning | str, *_args: object, **_kwargs: object) -> None:
@@ -166,9 +180,10 @@ def analyse(
     names = _report_names(formats, output)
     taken: set[str] = set()
     codes = []
-    for log in logs:
+    for number, log in enumerate(logs, start=1):
         try:
-            with _progress(log, shown=not quiet) as step:
+            place = f"{number} of {len(logs)}: " if len(logs) > 1 else ""
+            with _progress(log, place, shown=not quiet) as step:
                 analysis = _analysed(log, settings, part, step)
         except UsageError:
             raise
@@ -180,12 +195,14 @@ def analyse(
             continue
         if as_json:
             typer.echo(analysis.to_json(), nl=False)
+        elif quiet or not sys.stdout.isatty():
+            _print(analysis.to_text(brief=quiet))
         else:
-            typer.echo(analysis.to_text(brief=quiet), nl=False)
+            _show(analysis, first=not codes)
         if output is not None:
             for path in _write_reports(analysis, log, output, names, taken):
                 if not quiet:
-                    typer.echo(f"wrote {path}", err=True)
+                    _note(f"wrote {path}")
         codes.append(_exit_code(analysis))
     raise typer.Exit(_joint_exit_code(codes))
 
@@ -202,6 +219,18 @@ def _analysed(log: Path, config: Config, part: Part, step: object) -> Analysis:
         raise FdilogError(
             f"{log}: not enough memory; look at a part of it with --from, --to"
         ) from None
+
+
+def _show(analysis: Analysis, *, first: bool) -> None:
+    """Print the summary in the terminal's width and colours; NO_COLOR is Rich's to respect."""
+    from rich.console import Console
+
+    from fdilog.registry import plugin
+
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not first:
+        console.print()
+    plugin("reports", "text").show(analysis, console)
 
 
 def _settings(
@@ -305,17 +334,20 @@ def _joint_exit_code(codes: list[ExitCode]) -> ExitCode:
 
 
 @contextmanager
-def _progress(log: Path, *, shown: bool) -> Iterator[object]:
+def _progress(log: Path, place: str = "", *, shown: bool) -> Iterator[object]:
     """Show the present step on a terminal; on a pipe there is nobody to look."""
     if not (shown and sys.stderr.isatty()):
         yield None
         return
     from rich.console import Console
-    from rich.markup import escape
+    from rich.text import Text
+
+    from fdilog.visible import visible
 
     console = Console(stderr=True)
-    with console.status(f"{escape(log.name)}") as status:
-        yield lambda step: status.update(f"{escape(log.name)}: {escape(step)}")
+    name = Text(f"{place}{visible(log.name)}", no_wrap=True, overflow="ellipsis")
+    with console.status(name) as status:
+        yield lambda step: status.update(Text.assemble(name, ": ", visible(step)))
 
 
 @app.command()
@@ -329,7 +361,7 @@ def inspect(logs: Logs, *, config: ConfigFile = None) -> None:
     for log in logs:
         try:
             recording = read(log, [source.topic for source in settings.sources.gyro])
-            typer.echo(describe(recording, settings), nl=False)
+            _print(describe(recording, settings))
             codes.append(ExitCode.HEALTHY)
         except UsageError:
             raise
@@ -434,7 +466,8 @@ def simulate(
     )
     write(flight.recording(attitude=attitude), output)
     truth = write_truth(output, {"log": {"path": str(output)}, **flight.truth()})
-    typer.echo(f"wrote {output}\nwrote {truth}", err=True)
+    _note(f"wrote {output}")
+    _note(f"wrote {truth}")
 
 
 @app.command()
@@ -485,7 +518,8 @@ def inject(
     truth = injected_truth(injection, channel_table(recording, settings))
     write_injected(injection, log, output)
     beside = write_truth(output, {"log": {"path": str(output), "made_from": str(log)}, **truth})
-    typer.echo(f"wrote {output}\nwrote {beside}", err=True)
+    _note(f"wrote {output}")
+    _note(f"wrote {beside}")
 
 
 @app.command()
@@ -537,11 +571,11 @@ def sensitivity(
         )
     if output is not None:
         report.write_sensitivity(seen, output)
-        typer.echo(f"wrote {output}", err=True)
+        _note(f"wrote {output}")
     if as_json:
         typer.echo(report.as_json(seen), nl=False)
     elif output is None:
-        typer.echo(report.in_words(seen), nl=False)
+        _print(report.in_words(seen))
 
 
 @app.command()
@@ -558,7 +592,10 @@ def compare(
     from fdilog import comparison
 
     seen = comparison.compare(comparison.load_result(before), comparison.load_result(after))
-    typer.echo(comparison.as_json(seen) if as_json else comparison.in_words(seen), nl=False)
+    if as_json:
+        typer.echo(comparison.as_json(seen), nl=False)
+    else:
+        _print(comparison.in_words(seen))
     raise typer.Exit(int(bool(seen.differences)))
 
 

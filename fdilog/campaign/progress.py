@@ -12,6 +12,7 @@ from typing import IO, Any
 
 from fdilog.campaign.audit import Progress
 from fdilog.campaign.summary import Campaign
+from fdilog.visible import visible
 
 STYLE = {"failed": "red", "healthy": "green", "undecided": "yellow", "not analysed": "magenta"}
 MOST_NAMED = 10
@@ -29,19 +30,6 @@ def shown_progress(*, quiet: bool = False) -> Iterator[Progress | None]:
             yield bar
     else:
         yield LineProgress(sys.stderr)
-
-
-def visible(text: str) -> str:
-    """Put on one line whatever a file name or a reason may hold."""
-    return "".join(_visible(char) for char in text)
-
-
-def _visible(char: str) -> str:
-    if char.isprintable():
-        return char
-    if "\udc80" <= char <= "\udcff":  # how Python carries a byte that is not UTF-8
-        return f"\\x{ord(char) - 0xDC00:02x}"
-    return ascii(char)[1:-1]
 
 
 class LineProgress:

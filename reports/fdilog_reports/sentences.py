@@ -121,6 +121,13 @@ def size_is_shared(finding: Finding, analysis: Analysis) -> bool:
     )
 
 
+def negated(finding: Finding, analysis: Analysis) -> bool:
+    """Whether a size is best said without its sign, which depends on which suspect it was."""
+    if finding.size is None or finding.isolated or not size_is_shared(finding, analysis):
+        return False
+    return finding.kind in {"bias", "drift", "impulse"} and negative(finding.size)
+
+
 def _when(finding: Finding, analysis: Analysis) -> str:
     time_s = analysis.table.time_s
     span = flight_time(finding.start_s, finding.end_s)
@@ -173,7 +180,7 @@ _CLAIM = {
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",
     "mounting": "points elsewhere than its mounting says",
-    "disagreement": "disagreed with the others",
+    "disagreement": "disagreed with what was expected of it",
 }
 _CLAIM_OF_SEVERAL = {
     "bias": "was wrong by {amount}{interval}",
@@ -192,7 +199,7 @@ _UNSIZED = {
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",
     "mounting": "points elsewhere than its mounting says",
-    "disagreement": "disagreed with the others",
+    "disagreement": "disagreed with what was expected of it",
 }
 
 VERDICT_WORD = {

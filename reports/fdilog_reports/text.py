@@ -1,26 +1,34 @@
-"""The summary on the terminal: verdict, findings, what is missing; or one line."""
+"""The summary as plain text: verdict, findings, what is missing; or one line."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from fdilog.analysis import Analysis
 from fdilog_reports.view import report
 
-suffix = ".txt"
+if TYPE_CHECKING:
+    from rich.console import Console
 
-MOST_FINDINGS = 20
+suffix = ".txt"
 
 
 def render(analysis: Analysis, *, brief: bool = False) -> str:
-    """Return the summary as plain text, or as one line."""
+    """Return the summary as plain text, a finding a line, or all of it as one line."""
     seen = report(analysis)
     head = f"{seen.log_name}: {seen.verdict.word}. {seen.verdict.sentence}"
     if brief:
         return head + "\n"
     lines = [head, *(f"  {note}" for note in seen.verdict.notes)]
-    lines += [
-        f"  {number}. {finding.sentence}"
-        for number, finding in enumerate(seen.findings[:MOST_FINDINGS], start=1)
-    ]
-    if len(analysis.findings) > MOST_FINDINGS:
-        lines.append(f"  and {len(analysis.findings) - MOST_FINDINGS} more; see the report")
+    if [finding.sentence for finding in seen.findings] != [seen.verdict.sentence]:
+        lines += [f"  {finding.number}. {finding.sentence}" for finding in seen.findings]
+    if seen.findings_left_out:
+        lines.append(f"  {seen.findings_left_out}")
     return "\n".join(lines) + "\n"
+
+
+def show(analysis: Analysis, console: Console) -> None:
+    """Print the summary on a terminal, in its width and its colours."""
+    from fdilog_reports import terminal
+
+    terminal.show(analysis, console)
