@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,51 @@ class DetectorSettings:
     )
 
 
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverSettings:
+    """A model of the vehicle: x' = A x + B u, y = C x, watched by the detector `observer`."""
+
+    outputs: tuple[str, ...] = _key(
+        (),
+        "sensors y that the model predicts: channels (imu0.z), or STREAM.FIELD of any stream"
+        " (GPS.Spd); empty: no model, and `observer` is not asked",
+    )
+    inputs: tuple[str, ...] = _key(
+        (), "commands u that drive it, STREAM.FIELD: RCOU.C1, SERVO_OUTPUT_RAW.servo1_raw"
+    )
+    A: Matrix = _key((), "dynamics, a row a state, in 1/s; SI units of outputs and inputs")
+    B: Matrix = _key((), "how the inputs drive the states, a row a state")
+    C: Matrix = _key((), "outputs of the states, a row an output; empty: output k is state k")
+    identify: bool = _key(False, "estimate A and B by least squares over healthy_s instead")
+    healthy_s: tuple[float, ...] = _key(
+        (),
+        "[from, to]: seconds of flight time in which the outputs are known to be healthy; gives"
+        " the trims, the units, the threshold, and the model where it is identified",
+    )
+    eigenvalues_per_s: tuple[float, ...] = _key(
+        (),
+        "of the observer, one an output, negative; empty: twice as fast as the fastest of A, to"
+        " outrun the vehicle without following its noise",
+    )
+    K: Matrix = _key((), "gain of the observer, a row a state, instead of eigenvalues_per_s")
+    units: tuple[float, ...] = _key(
+        (),
+        "what counts as one in each output, so that metres and radians can be added; empty: the"
+        " standard deviation of its residual over healthy_s",
+    )
+    threshold: float = _key(
+        0.0,
+        "length of the residual, in these units, that is an alarm; 0: three times the longest of"
+        " healthy_s, since a model is never as good elsewhere as where it was looked at",
+    )
+    step_s: float = _key(
+        0.1, "means over this long are watched: vehicles turn slower, vibration is faster"
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Config:
     """All settings; immutable, so that a result can be traced to it by its hash."""
@@ -124,6 +170,7 @@ class Config:
     noise: Noise = field(default_factory=Noise)
     windows: WindowSettings = field(default_factory=WindowSettings)
     detectors: DetectorSettings = field(default_factory=DetectorSettings)
+    observer: ObserverSettings = field(default_factory=ObserverSettings)
 
     @property
     def sha256(self) -> str:
@@ -210,12 +257,13 @@ _TABLES: dict[tuple[type, str], type] = {
     (Config, "noise"): Noise,
     (Config, "windows"): WindowSettings,
     (Config, "detectors"): DetectorSettings,
+    (Config, "observer"): ObserverSettings,
 }
 _UNITS = ("rad/s", "deg/s", "mrad/s")
 # Keys for which zero has a meaning; every other number must be above zero.
 _ZERO_ALLOWED = {
     "noise.bound_deg_s", "noise.bias_sigma_deg_s", "noise.scale_sigma", "noise.time_sigma_s",
-    "windows.overlap", "detectors.max_failures", "tolerance.scale",
+    "windows.overlap", "detectors.max_failures", "tolerance.scale", "observer.threshold",
 }  # fmt: skip
 _BELOW_ONE = {"windows.overlap", "windows.confidence"}
 
@@ -237,8 +285,10 @@ def _value(name: str, value: Any, kind: type, key: str) -> Any:  # noqa: C901, P
         if not lengths:
             raise UsageError(f"'{name}' must name at least one length")
         return lengths
+    if name in _OBSERVED:
+        return _OBSERVED[name](name, value)
     if name in {"sources.use", "detectors.use"}:
-        return tuple(_text(name, entry) for entry in _list(name, value))
+        return _texts(name, value)
     if name == "geometry.name":
         return _text(name, value)
     if name == "detectors.max_failures":
@@ -278,6 +328,64 @@ def _vector(name: str, value: Any, length: int) -> Any:
     if len(numbers) != length or len(value) != length or not any(numbers):
         raise UsageError(f"'{name}' must hold {length} numbers, not all zero: {value!r}")
     return numbers
+
+
+def _texts(name: str, value: Any) -> tuple[str, ...]:
+    return tuple(_text(name, entry) for entry in _list(name, value))
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    numbers = _list(name, value)
+    for number in numbers:
+        finite = isinstance(number, int | float) and abs(number) < float("inf")
+        if isinstance(number, bool) or not finite:
+            raise UsageError(f"'{name}' must hold finite numbers, not {number!r}")
+    return tuple(float(number) for number in numbers)
+
+
+def _matrix(name: str, value: Any) -> Matrix:
+    rows = tuple(_numbers(name, row) for row in _list(name, value))
+    if len({len(row) for row in rows}) > 1:
+        raise UsageError(f"'{name}' must hold rows of one length: {value!r}")
+    return rows
+
+
+def _span(name: str, value: Any) -> tuple[float, ...]:
+    span = _numbers(name, value)
+    if span and not (len(span) == 2 and span[0] < span[1]):
+        raise UsageError(f"'{name}' must be [from, to] in seconds, not {value!r}")
+    return span
+
+
+def _negatives(name: str, value: Any) -> tuple[float, ...]:
+    numbers = _numbers(name, value)
+    if any(number >= 0 for number in numbers):
+        raise UsageError(f"'{name}' must be below zero, or the observer is not stable: {value!r}")
+    return numbers
+
+
+def _positives(name: str, value: Any) -> tuple[float, ...]:
+    return tuple(_number(name, number) for number in _list(name, value))
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise UsageError(f"'{name}' must be true or false, not {value!r}")
+    return value
+
+
+_OBSERVED: dict[str, Callable[[str, Any], Any]] = {
+    "observer.outputs": _texts,
+    "observer.inputs": _texts,
+    "observer.A": _matrix,
+    "observer.B": _matrix,
+    "observer.C": _matrix,
+    "observer.K": _matrix,
+    "observer.identify": _flag,
+    "observer.healthy_s": _span,
+    "observer.eigenvalues_per_s": _negatives,
+    "observer.units": _positives,
+}
 
 
 def _gyro_source(entry: Any) -> GyroSource:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,6 +14,7 @@ from fdilog.clocks import hole_threshold_s
 from fdilog.config import Config
 from fdilog.finding import Windows
 from fdilog.noise import WindowedMean, windowed_mean
+from fdilog.signals import Signal
 from fdilog.table import ChannelTable
 
 Floats = NDArray[np.float64]
@@ -122,11 +123,18 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Survey:
-    """A table with its windows of one length: what a detector is shown."""
+    """A table with its windows of one length: what a detector is shown.
+
+    Parameters
+    ----------
+    signals
+        What else of the log the configuration names, by name; for detectors of the stage `model`.
+    """
 
     table: ChannelTable
     windows: Windows
     config: Config
+    signals: Mapping[str, Signal] = field(default_factory=dict)
 
     @cached_property
     def moments(self) -> tuple[Moments, ...]:

@@ -41,6 +41,9 @@ class ObserverDesign:
         K. [1/s]
     directions : (n_outputs, n_outputs)
         Row i is l_i, the line on which a fault of sensor i holds the residual. [1/s]
+    rates_per_s : (n_outputs,)
+        Eigenvalue of A - K C that belongs to A d_i: a constant fault f settles at
+        ``r = l_i f / rate``. [1/s]
     eigenvalues : (n_states,)
         Of A - K C. [1/s]
     directional : (n_outputs,)
@@ -51,6 +54,7 @@ class ObserverDesign:
 
     gain: Floats
     directions: Floats
+    rates_per_s: Floats
     eigenvalues: NDArray[np.complex128]
     directional: NDArray[np.bool_]
     problems: tuple[str, ...]
@@ -106,12 +110,52 @@ def design_observer(
     moved = a @ entry
     seen = c @ moved
     gain = (a @ moved - moved * wanted) @ np.linalg.pinv(seen, rcond=RANK_TOLERANCE)
-    closed = a - gain @ c
-    found = np.linalg.eigvals(closed).astype(np.complex128)
+    return assess_gain(a, gain, c)
 
+
+def assess_gain(
+    dynamics: ArrayLike, gain: ArrayLike, outputs: ArrayLike | None = None
+) -> ObserverDesign:
+    """Check how far a gain does what the directional residual asks of it.
+
+    Parameters
+    ----------
+    dynamics : (n_states, n_states)
+        A. [1/s]
+    gain : (n_states, n_outputs)
+        K. [1/s]
+    outputs : (n_outputs, n_states)
+        C; the identity if every state is measured.
+
+    Returns
+    -------
+    design
+        Sensor i is directional if A d_i is an eigenvector of A - K C, with the eigenvalue
+        `rates_per_s`; `problems` says what is not met.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit.
+
+    References
+    ----------
+    [Observer24], condition derived anew: see the head of this module.
+    """
+    a, _, c = _matrices(dynamics, np.zeros((len(np.asarray(dynamics)), 0)), outputs)
+    k = np.asarray(gain, dtype=np.float64)
+    if k.shape != c.T.shape:
+        raise ValueError(f"K {k.shape} does not fit C {c.shape}")
+    closed = a - k @ c
+    found = np.linalg.eigvals(closed).astype(np.complex128)
+    entry = np.linalg.pinv(c)
+    moved = a @ entry
+    seen = c @ moved
     scale = max(float(np.abs(closed).max()), 1.0)
     size = np.linalg.norm(moved, axis=0)
-    exact = np.abs(closed @ moved - moved * wanted).max(axis=0) <= 1e-6 * scale * size
+    turned = closed @ moved
+    rates = np.einsum("ij,ij->j", moved, turned) / np.maximum(size, RANK_TOLERANCE) ** 2
+    exact = np.abs(turned - moved * rates).max(axis=0) <= 1e-6 * scale * size
     entered = np.abs(c @ entry - np.eye(len(c))).max(axis=0) <= RANK_TOLERANCE**0.5
     directional = exact & entered & (np.linalg.norm(seen, axis=0) > RANK_TOLERANCE * scale)
     problems = [
@@ -122,8 +166,9 @@ def design_observer(
     if not (found.real < 0).all():
         problems.append("the observer is not stable")
     return ObserverDesign(
-        gain=gain,
+        gain=k,
         directions=np.ascontiguousarray(seen.T),
+        rates_per_s=rates,
         eigenvalues=found,
         directional=directional,
         problems=tuple(problems),
@@ -320,24 +365,32 @@ def identify_model(
     Notes
     -----
     Fits ``x_k+1 = F x_k + g u_k + constant`` and takes the matrix logarithm. The constant takes up
-    sensor biases. Noise of the measured states pulls F towards zero, more so the faster the
-    sampling: thin out a noisy record to a few samples per time constant first.
+    sensor biases. Noise of the measured states would pull F towards zero, so x_k is first replaced
+    by what x_k-1, u_k-1 and u_k tell of it (two-stage least squares [1]). That frees the fit of
+    noise that is white; thin out a record whose noise lasts longer than its steps.
 
     References
     ----------
     [Observer24] takes A and B from hydrodynamic coefficients that are not legible; a log gives its
     own.
+
+    [1] T. Soederstroem, P. Stoica, "Instrumental variable methods for system identification",
+    Circuits, Systems and Signal Processing 21(1), 2002, 1-9.
     """
     x = np.asarray(states, dtype=np.float64)
     u = np.asarray(inputs_held, dtype=np.float64)
     if x.ndim != 2 or u.ndim != 2 or len(x) != len(u):
         raise ValueError(f"x {x.shape} and u {u.shape} do not fit one another")
     n, m = x.shape[1], u.shape[1]
-    regressors = np.hstack([x, u, np.ones((len(x), 1))])[:-1]
+    regressors = np.hstack([x, u, np.ones((len(x), 1))])
     size = np.abs(regressors).max(axis=0, initial=0.0)
-    if len(regressors) <= n + m + 1 or not size.all():
+    if len(regressors) <= 2 * (n + m + 1) or not size.all():
         raise ValueError("the stretch is too short, or a state or input is zero all along")
-    fitted, _, rank, _ = np.linalg.lstsq(regressors / size, x[1:], rcond=RANK_TOLERANCE)
+    regressors = regressors / size
+    # What was known a step before, and the command, which no noise disturbs.
+    before = np.hstack([regressors[:-2], regressors[1:-1, n:]])
+    told = before @ np.linalg.lstsq(before, regressors[1:-1], rcond=RANK_TOLERANCE)[0]
+    fitted, _, rank, _ = np.linalg.lstsq(told, x[2:], rcond=RANK_TOLERANCE)
     if rank < n + m + 1:
         raise ValueError("the stretch does not move enough to tell states and inputs apart")
     joint = np.eye(n + m)
