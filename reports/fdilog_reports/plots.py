@@ -72,6 +72,7 @@ def plots(analysis: Analysis) -> Plots | None:
         "span": [axis.start_s, axis.end_s],
         "step": pack.step_s,
         "tolerance": tolerance,
+        "hop": drawing.hop_s,
         "top": rates.top,
         "ticks": [(rate, label) for rate, label in rates.round_rates()],
         "channels": [drawing.channel(i) for i in range(len(table.channels))],
@@ -188,6 +189,18 @@ class _Drawing:
         return made
 
     @property
+    def hop_s(self) -> float:
+        """Time from one window of the statistical intervals to the next. [s]"""
+        if self.statistical is None:
+            return 0.0
+        starts = self.statistical.windows.start_s
+        return float(np.median(np.diff(starts))) if len(starts) > 1 else self._length_s
+
+    @property
+    def _length_s(self) -> float:
+        return self.statistical.windows.length_s if self.statistical is not None else 0.0
+
+    @property
     def statistical_words(self) -> str:
         """Say what the band of statistical intervals is."""
         if (item := self.statistical) is None:
@@ -258,17 +271,24 @@ def script() -> str:
     return (FOLDER / "plots.js").read_text("utf-8")
 
 
+@cache
 def source_hash(text: str) -> str:
     """Return the source expression by which a content security policy knows a script."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-@cache
-def policy(*, shared: bool) -> str:
-    """Return which scripts a page with plots may run: ours and the library, nothing else."""
+def script_parts(*, shared: bool) -> dict[str, str]:
+    """Return what a template needs to let a page draw: its policy, the library, our script."""
+    from markupsafe import Markup
+
     # A page from a folder knows its neighbour as 'self' on a server and by its scheme on a disk.
     beside = "'self' file:" if shared else source_hash(library())
-    return f"{source_hash(script())} {beside}"
+    return {
+        "policy": f"{source_hash(script())} {beside}",
+        "library": "" if shared else library_compressed(),
+        "library_name": shared_name() if shared else "",
+        "script": Markup(script()),  # noqa: S704  our own file
+    }
 
 
 # --- by itself ----------------------------------------------------------------------------------
@@ -301,8 +321,6 @@ def linked_figure(analysis: Analysis) -> LinkedFigure:
     ValueError
         If the analysis holds no sample to draw.
     """
-    from markupsafe import Markup
-
     drawn = plots(analysis)
     if drawn is None:
         raise ValueError("there is no gyro sample to draw")
@@ -311,11 +329,8 @@ def linked_figure(analysis: Analysis) -> LinkedFigure:
         .get_template("plots.html")
         .render(
             title=f"Plots of {shown(Path(analysis.log.path).name)}",
-            policy=policy(shared=False),
             plots=drawn,
-            library=library_compressed(),
-            library_name="",
-            script=Markup(script()),  # noqa: S704  our own file
+            **script_parts(shared=False),
         )
     )
     return LinkedFigure(page=page, height_px=160 + 170 * drawn.panels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
@@ -9,7 +10,9 @@ from fdilog.finding import SIZE_UNIT, Finding
 from fdilog.recording import Problem
 from fdilog.sources import SourceInfo
 from fdilog_reports import sentences
+from fdilog_reports.next_steps import next_step
 from fdilog_reports.residuals import drawn_evidence, intervals
+from fdilog_reports.size_bar import SizeBar, size_bar
 from fdilog_reports.words import (
     DEG_PER_RAD,
     SHOWN_TEXT,
@@ -24,6 +27,9 @@ from fdilog_reports.words import (
     size_of,
     utc,
 )
+
+MOST_DETECTORS = 40
+"""Names of detectors that a card holds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +56,7 @@ class FindingRow:
     tolerance: str
     detectors: str
     dissent: str
+    bar: SizeBar | None
     facts: tuple[Fact, ...]
 
 
@@ -110,6 +117,11 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
     facts = [
         Fact(label="What", value=sentences.KIND_NAME[finding.kind]),
         Fact(
+            label="Failed" if finding.isolated else "Suspects",
+            value=sentences.suspects(finding),
+        ),
+        Fact(label="When", value=when),
+        Fact(
             label="Size" if finding.isolated else f"Size, if {shown(finding.suspects[0])}",
             value=str(size or ("not bounded" if finding.kind in SIZE_UNIT else "")),
         ),
@@ -117,10 +129,11 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         Fact(label="Tolerance", value=tolerance),
         Fact(label="UTC", value=utc(analysis.log.start_utc, finding.start_s, finding.end_s)),
         Fact(label="Guaranteed", value=_guaranteed(finding, analysis)),
-        Fact(label="Agree", value=listed([shown(n) for n in finding.detectors]) or "none"),
-        Fact(label="Dissent", value=listed([shown(n) for n in finding.dissent]) or "none"),
-        Fact(label="Witness", value=shown(finding.witness) if finding.witness else ""),
+        Fact(label="Agree", value=_counted(finding.detectors)),
+        Fact(label="Dissent", value=_counted(finding.dissent)),
+        Fact(label="Witness", value=_witness(finding)),
         Fact(label="Detail", value=shown(finding.detail, SHOWN_TEXT)),
+        Fact(label="Next", value=next_step(finding, analysis)),
     ]
     return FindingRow(
         number=str(number),
@@ -135,8 +148,22 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         tolerance=tolerance,
         detectors=listed([shown(name) for name in finding.detectors]),
         dissent=listed([shown(name) for name in finding.dissent]),
+        bar=size_bar(finding, analysis.config.tolerance),
         facts=tuple(fact for fact in facts if fact.value),
     )
+
+
+def _counted(detectors: Sequence[str]) -> str:
+    """Name all detectors, and say how many they are."""
+    names = [shown(name) for name in detectors]
+    return f"{len(names)}: {listed(names, limit=MOST_DETECTORS)}" if names else "none"
+
+
+def _witness(finding: Finding) -> str:
+    """Say who decided between suspects that the gyros alone could not tell apart."""
+    if finding.witness:
+        return f"{shown(finding.witness)} decided" if finding.isolated else shown(finding.witness)
+    return "none was needed" if finding.isolated else "none could decide"
 
 
 def _tolerance(finding: Finding, analysis: Analysis) -> str:

@@ -13,6 +13,8 @@ from pathlib import PurePath
 import fdilog
 from fdilog.analysis import Analysis
 from fdilog_reports import provenance, sentences
+from fdilog_reports.agreement import Agreement, agreement
+from fdilog_reports.detectability import Detectability, detectability
 from fdilog_reports.rows import (
     ChannelRow,
     ConstantRow,
@@ -70,6 +72,8 @@ class Report:
     completeness: str
     losses: tuple[LossRow, ...]
     losses_left_out: str
+    agreement: Agreement
+    detectability: Detectability
     blind_spots: tuple[str, ...]
     clocks: tuple[ConstantRow, ...]
     calibration: tuple[ConstantRow, ...]
@@ -105,6 +109,8 @@ def report(analysis: Analysis) -> Report:
         completeness=_completeness(analysis),
         losses=tuple(loss_row(problem) for problem in problems[:MOST_PROBLEMS]),
         losses_left_out=_left_out(len(problems) - MOST_PROBLEMS, "problem"),
+        agreement=agreement(analysis),
+        detectability=detectability(analysis),
         blind_spots=tuple(sentences.blind_spots(analysis)),
         clocks=clock_rows(analysis),
         calibration=calibration_rows(analysis),
@@ -174,6 +180,7 @@ def _facts(analysis: Analysis) -> tuple[Fact, ...]:
             value=f"{several(len(gyros), 'channel')} of {several(len(sources), 'source')}",
         ),
         Fact(label="Log", value=f"{shown(log.format)}, {size_of(log.bytes)}"),
+        Fact(label="Missing", value=_missing(analysis)),
     ]
     if log.vehicle:
         facts.append(Fact(label="Vehicle", value=shown(next(iter(log.vehicle.values())))))
@@ -187,6 +194,18 @@ def _analysed(analysis: Analysis) -> str:
     part = table.duration_s
     of = f" of {figure(whole, 5)} s" if whole - part > max(1.0, 0.01 * whole) else ""
     return f"{figure(part, 5)} s{of}, {several(len(table.time_s), 'sample')}"
+
+
+def _missing(analysis: Analysis) -> str:
+    """Say in a few words what is not in the log or was not compared."""
+    lost = analysis.completeness
+    parts = [] if lost.whole else [amount_lost(lost.bytes_lost, lost.seconds_lost)]
+    gyros = [c.name for c in analysis.table.channels if not c.derived]
+    status = dict(zip(analysis.table.names, analysis.status, strict=True))
+    unseen = [shown(name) for name in gyros if status[name] == "insufficient"]
+    if unseen:
+        parts.append(f"never compared: {'all' if len(unseen) == len(gyros) else listed(unseen)}")
+    return "; ".join(parts) or "nothing, as far as the format can tell"
 
 
 def _completeness(analysis: Analysis) -> str:

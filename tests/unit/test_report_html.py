@@ -1,13 +1,16 @@
-"""The HTML report: one file, no script, no network, and nothing of a log's taken for markup."""
+"""The HTML report: one file, no network, and nothing of a log's taken for markup."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
+import gzip
+import hashlib
 import itertools
 import json
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 import pytest
 
@@ -27,7 +30,7 @@ class Page(HTMLParser):
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.open: list[str] = []
         self.words: list[str] = []
-        self.scripts: list[str] = []
+        self.texts: dict[str | None, str] = {}
         self.feed(text)
         self.close()
         assert self.open == []
@@ -45,9 +48,15 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if self.open and self.open[-1] == "script":
-            self.scripts.append(data)
+            script = self.elements[-1][1].get("id")
+            self.texts[script] = self.texts.get(script, "") + data
         elif "style" not in self.open:
             self.words.append(data)
+
+    def result(self) -> dict[str, Any]:
+        """Return the JSON result that the page holds."""
+        found: dict[str, Any] = json.loads(self.texts["result"])
+        return found
 
     def all(self, tag: str) -> list[dict[str, str | None]]:
         return [attributes for name, attributes in self.elements if name == tag]
@@ -75,15 +84,47 @@ def test_the_page_needs_nothing_from_anywhere(made: Analysis) -> None:
     assert "@import" not in style[1]
 
 
-def test_the_policy_forbids_all_but_inline_style() -> None:
+def policy_of(text: str) -> str:
     policy = next(
         meta["content"]
-        for meta in Page(html.render(analysis())).all("meta")
+        for meta in Page(text).all("meta")
         if meta.get("http-equiv") == "Content-Security-Policy"
     )
     assert policy is not None
-    assert policy.startswith("default-src 'none'; style-src 'unsafe-inline'")
-    assert "script" not in policy
+    return policy
+
+
+def test_the_policy_lets_only_our_script_and_the_library_run() -> None:
+    text = html.render(analysis())
+    policy = policy_of(text)
+    assert policy.startswith("default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-")
+    allowed = policy.split("script-src ")[1].split(";")[0].split()
+    ours, library = (source.removeprefix("'sha256-").removesuffix("'") for source in allowed)
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    assert [digest(script) for script in scripts] == [ours]
+    packed = re.search(r'id="plot-library">(.*?)</script>', text, re.DOTALL)
+    assert packed
+    assert digest(gzip.decompress(base64.b64decode(packed[1])).decode()) == library
+
+
+def digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def test_reports_of_one_folder_share_the_library_and_nothing_else() -> None:
+    text = html.render_shared(analysis())
+    (name,) = html.shared_files()
+    assert [a["src"] for a in Page(text).all("script") if "src" in a] == [name]
+    assert "'self' file:" in policy_of(text)
+    assert len(text) < len(html.render(analysis())) - 400_000
+    assert "Bokeh" in html.shared_files()[name]
+
+
+def test_a_log_without_a_sample_has_a_page_without_scripts() -> None:
+    empty = analysis(table(duration_s=0.0), evidence=(), verdict="insufficient")
+    text = html.render(empty)
+    assert "script-src" not in policy_of(text)
+    assert [script.get("type") for script in Page(text).all("script")] == ["application/json"]
 
 
 @pytest.mark.parametrize("made", ALL)
@@ -122,7 +163,7 @@ def test_the_json_result_is_in_the_page_and_can_be_downloaded() -> None:
     made = failed_analysis()
     page = Page(html.render(made))
     result = json.loads(json_report.render(made))
-    assert json.loads("".join(page.scripts)) == result
+    assert page.result() == result
     link = next(a for a in page.all("a") if "download" in a)
     assert link["href"] is not None
     assert json.loads(base64.b64decode(link["href"].partition(",")[2])) == result
@@ -156,8 +197,8 @@ def test_a_hostile_string_is_text_wherever_it_stands(hostile: str) -> None:
     assert {tag for tag, _ in page.elements} <= kinds
     names = {name for _, attributes in plain.elements for name in attributes}
     assert {name for _, attributes in page.elements for name in attributes} <= names
-    assert len(page.all("script")) == 1
-    assert json.loads("".join(page.scripts))["log"]["path"] == hostile
+    assert len(page.all("script")) == len(plain.all("script"))
+    assert page.result()["log"]["path"] == hostile
     assert "49" not in re.findall(r"(?<![\d.])49(?![\d.])", " ".join(page.words))
 
 

@@ -281,12 +281,12 @@ def test_slow_samples_leave_no_false_gaps() -> None:
     assert seen <= {"healthy", "undecided"}
 
 
-def test_the_pictures_of_one_hour_at_200_hz_stay_small() -> None:
+def test_the_page_of_one_hour_at_200_hz_stays_below_a_megabyte() -> None:
     made = table(sources=2, duration_s=3600.0, rate_hz=200.0)
     assert made.rate_rad_s.shape == (720_000, 6)
     hour = analysis(made, evidence=(evidence(made, 60.0),))
-    started = time.perf_counter()
+    started = time.process_time()
     text = html.render(hour)
-    took_s = time.perf_counter() - started
-    assert len(text.encode()) < 200_000
-    assert took_s < 5.0  # about 0.4 s on two idle cores; the rest is for busy machines
+    took_s = time.process_time() - started
+    assert len(text.encode()) < 1_000_000
+    assert took_s < 3.0  # about 1 s, a quarter of it to compress the plotting library once

@@ -153,7 +153,7 @@ def test_the_finding_is_told_with_utc_tolerance_and_guarantee() -> None:
     # No bound was stated, so it is one that was estimated.
     estimated = "as long as the bound estimated from this log holds"
     assert facts["Guaranteed"] == f"0.8 to 3.2 deg/s {estimated}"
-    assert facts["Agree"] == "difference, guaranteed and parity"
+    assert facts["Agree"] == "3: difference, guaranteed and parity"
     assert facts["Dissent"] == "none"
 
 

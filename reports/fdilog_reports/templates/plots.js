@@ -8,7 +8,8 @@
 
   const inflated = async (id) => {
     const text = atob(document.getElementById(id).textContent.trim());
-    const bytes = Uint8Array.from(text, (char) => char.charCodeAt(0));
+    const bytes = new Uint8Array(text.length);
+    for (let i = 0; i < text.length; i += 1) bytes[i] = text.charCodeAt(i);
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   };
@@ -111,10 +112,13 @@
     // A model's colours follow the page's, by the name of a property of the style sheet.
     const paint = (model, colours) => painted.push([model, colours]);
     const repaint = () => {
-      const style = getComputedStyle(document.documentElement);
+      const style = getComputedStyle(document.documentElement), known = new Map();
+      const colour = (name) => {
+        if (!known.has(name)) known.set(name, style.getPropertyValue(name).trim());
+        return known.get(name);
+      };
       for (const [model, colours] of painted)
-        for (const [attribute, name] of Object.entries(colours))
-          model[attribute] = style.getPropertyValue(name).trim();
+        model.setv(Object.fromEntries(Object.entries(colours).map(([of, name]) => [of, colour(name)])));
     };
 
     const plot = (height, y_range) => {
@@ -213,14 +217,37 @@
       });
     };
 
-    const band = (figure, edges, kind, step) => {
-      const source = new B.ColumnDataSource({ data: {
-        x: edges.t, low: Float64Array.from(edges.low, placed), high: Float64Array.from(edges.high, placed),
-      } });
-      const glyph = step
-        ? figure.varea_step({ field: "x" }, { field: "low" }, { field: "high" }, "center", { source, fill_alpha: 0.55 })
-        : figure.varea({ field: "x" }, { field: "low" }, { field: "high" }, { source, fill_alpha: 0.3 });
+    // One polygon for each stretch without a gap; with steps each value holds about its time.
+    const outlines = ({ t, low, high }, hop) => {
+      const xs = [], ys = [];
+      for (let i = 0; i < t.length; i += 1) {
+        if (Number.isNaN(low[i])) continue;
+        const x = [], upper = [], lower = [];
+        let reach = hop ? t[i] - hop / 2 : t[i];
+        for (; i < t.length && !Number.isNaN(low[i]); i += 1) {
+          const next = hop ? Math.min(t[i] + hop / 2, i + 1 < t.length ? (t[i] + t[i + 1]) / 2 : Infinity) : t[i];
+          if (hop && t[i] - hop > reach + hop / 100) break;
+          const top = placed(high[i]), bottom = placed(low[i]);
+          if (hop) { x.push(reach); upper.push(top); lower.push(bottom); }
+          x.push(next); upper.push(top); lower.push(bottom);
+          reach = next;
+        }
+        if (hop && i < t.length && !Number.isNaN(low[i])) i -= 1;  // a gap in time: begin anew
+        xs.push([...x, ...x.toReversed()]);
+        ys.push([...upper, ...lower.toReversed()]);
+      }
+      return { xs, ys };
+    };
+    const band = (figure, edges, kind, alpha, hop) => {
+      const source = new B.ColumnDataSource({ data: outlines(edges, hop) });
+      const glyph = figure.patches({ field: "xs" }, { field: "ys" }, {
+        source, fill_alpha: alpha, line_color: null,
+      });
       paint(glyph.glyph, { fill_color: `--${kind}` });
+    };
+    const only = (edges, chosen) => {
+      const kept = (values) => Float32Array.from(values, (value, i) => (chosen(i) ? value : NaN));
+      return { t: edges.t, low: kept(edges.low), high: kept(edges.high) };
     };
 
     const residualPlot = (parent, panel) => {
@@ -235,11 +262,15 @@
       });
       paint(allowed, { fill_color: "--band", line_color: "--soft" });
       figure.add_layout(allowed);
-      if (guaranteed) band(figure, guaranteed, "guaranteed", false);
+      if (guaranteed) band(figure, guaranteed, "guaranteed", 0.3, 0);
       const source = new B.ColumnDataSource({ data: zigzag(line, placed) });
       const glyph = figure.line({ field: "x" }, { field: "y" }, { source, line_width: 1 });
       paint(glyph.glyph, { line_color: "--residual" });
-      if (statistical) band(figure, statistical, "statistical", true);
+      if (statistical) {
+        const beyond = (i) => statistical.low[i] > facts.tolerance || statistical.high[i] < -facts.tolerance;
+        band(figure, only(statistical, (i) => !beyond(i)), "statistical", 0.75, facts.hop);
+        band(figure, only(statistical, beyond), "tall", 0.85, facts.hop);
+      }
       for (const axis of figure.yaxes) {
         axis.ticker = new B.FixedTicker({ ticks: facts.ticks.map(([rate]) => placed(rate)) });
         axis.major_label_overrides = new Map(facts.ticks.map(([rate, label]) => [placed(rate), label]));
@@ -275,6 +306,11 @@
       stage.append(part);
       place(part, ratePlot, group);
       for (const panel of group.panels) place(part, residualPlot, panel);
+      for (const above of plots.slice(plots.length - 1 - group.panels.length, -1)) {
+        for (const axis of above.xaxes) axis.visible = false;  // the lowest speaks for all
+        above.min_border_bottom = 3;
+        above.height -= 17;
+      }
     }
 
     // --- one time range for all -----------------------------------------------------------------
