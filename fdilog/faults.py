@@ -19,6 +19,7 @@ from fdilog.errors import UsageError, nearest
 
 FaultKind = Literal[
     "bias", "drift", "scale", "noise", "impulse", "saturated", "stuck", "dead", "dropout",
+    "mounting",
 ]  # fmt: skip
 KINDS: tuple[str, ...] = get_args(FaultKind)
 
@@ -30,9 +31,11 @@ SIZE_UNITS: Mapping[str, str] = MappingProxyType(
         "noise": "1",
         "impulse": "rad/s",
         "saturated": "rad/s",
+        "mounting": "rad",
     }
 )
 """Unit of a fault's size; kinds that are missing here have none."""
+MAY_HAVE_NO_SIZE = ("mounting",)
 
 # Third differences of white noise have 1 + 9 + 9 + 1 times its variance.
 THIRD_DIFFERENCE_GAIN = math.sqrt(20.0)
@@ -56,6 +59,8 @@ class Fault:
         ``stuck``: it repeats the last reading before the start.
         ``dead``: it reads zero.
         ``dropout``: its whole source has no readings.
+        ``mounting``: its whole source is turned by ``size`` about this channel's axis [rad], as
+        `turned_about` has it; without a size, the channel alone reads with the wrong sign.
     channel
         Name of the channel, ``imu1.y``; for a dropout its source will do, ``imu1``.
     start_s, end_s
@@ -90,6 +95,8 @@ class Fault:
         if unit is None:
             if self.size is not None:
                 raise UsageError(f"{self.kind} of {self.channel}: this kind has no size")
+            return
+        if self.size is None and self.kind in MAY_HAVE_NO_SIZE:
             return
         if self.size is None or not math.isfinite(self.size):
             raise UsageError(f"{self.kind} of {self.channel}: needs a size [{unit}]")
@@ -188,8 +195,8 @@ def apply(
             rate[hit] += size
         case "drift":
             rate[hit] += size * (time_s[hit] - fault.start_s)
-        case "scale":
-            rate[hit] *= size
+        case "scale" | "mounting":
+            rate[hit] *= _factor(fault)
         case "noise":
             rate[hit] += _added_noise(fault, noise_rad_s, len(rate), rng)[hit]
         case "saturated":
@@ -201,6 +208,52 @@ def apply(
         case "dropout":
             rate[hit] = np.nan
     return rate
+
+
+def _factor(fault: Fault) -> float:
+    """By what a channel's readings are multiplied; a turn about its own axis leaves them."""
+    if fault.kind == "mounting":
+        return -1.0 if fault.size is None else 1.0
+    return 0.0 if fault.size is None else fault.size
+
+
+def turns_source(fault: Fault) -> bool:
+    """Tell whether a fault turns a whole device, and so needs all of its readings at once."""
+    return fault.kind == "mounting" and fault.size is not None
+
+
+def turned_about(
+    fault: Fault, time_s: NDArray[np.float64], rates_rad_s: NDArray[np.floating[Any]], axis: int
+) -> NDArray[np.float64]:
+    """Turn a device about one of its axes while a fault lasts.
+
+    Parameters
+    ----------
+    time_s : (n_samples,)
+        Flight time of each reading. [s]
+    rates_rad_s : (n_samples, 3)
+        Readings along x, y, z. [rad/s]
+    axis
+        Which of them it is turned about, by ``fault.size``, right-handed.
+
+    Returns
+    -------
+    rates_rad_s : (n_samples, 3)
+        What the device reads: the body rate along its own axes. [rad/s]
+
+    Raises
+    ------
+    UsageError
+        If the device does not have three axes.
+    """
+    rates = np.array(rates_rad_s, np.float64)
+    if rates.shape[1] != 3:
+        raise UsageError(f"mounting of {fault.channel}: only a device of three axes can be turned")
+    angle, hit = fault.size or 0.0, touched(fault, time_s)
+    first, second = rates[hit, (axis + 1) % 3], rates[hit, (axis + 2) % 3]
+    rates[hit, (axis + 1) % 3] = math.cos(angle) * first + math.sin(angle) * second
+    rates[hit, (axis + 2) % 3] = math.cos(angle) * second - math.sin(angle) * first
+    return rates
 
 
 def _added_noise(

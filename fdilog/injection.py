@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fdilog.clocks import clean_stamps, time_base
 from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
-from fdilog.faults import Fault, apply, noise_sigma, touched
+from fdilog.faults import Fault, apply, noise_sigma, touched, turned_about, turns_source
 from fdilog.recording import Recording, Stream
 from fdilog.sources import RAD_S, Gyro, choose
 
@@ -106,6 +106,10 @@ def inject(
                 f"{fault.kind} of {fault.channel}: no reading from {fault.start_s} s to"
                 f" {fault.end_s} s; the flight lasts {last:.3f} s"
             )
+        if turns_source(fault):
+            rates[k] = turned_about(fault, times[k], rates[k], columns[0])
+            hits[k][mask] = True
+            continue
         for i in columns:
             sigma = noise_sigma(gyros[k].rate_rad_s[:, i]) if fault.kind == "noise" else 0.0
             if sigma > 0.0:

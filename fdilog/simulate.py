@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fdilog.errors import UsageError, nearest
-from fdilog.faults import Fault, apply, touched
+from fdilog.faults import Fault, apply, touched, turned_about, turns_source
 from fdilog.flight import STAMP_NS, Flight, Floats, SimulatedSource
 from fdilog.geometry import ALIGNED, checked_axes, named_axes
 from fdilog.motion import Airframe, Motion, draw_motion, quaternion
@@ -280,6 +280,9 @@ def _device(
     noise = np.hypot(errors.noise_rad_s, motion.own_sigma(sampled_s))
     device = f"imu{number}"
     for j, fault in enumerate(faults):
+        if turns_source(fault) and fault.channel in names:
+            readings = turned_about(fault, time_s, readings, names.index(fault.channel))
+            continue
         for column in _columns(fault, device, names):
             fault_rng = np.random.default_rng((seed, _FAULT, j))
             readings[:, column] = apply(fault, time_s, readings[:, column], fault_rng, noise)

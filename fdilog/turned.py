@@ -16,6 +16,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.student import student_quantile
 from fdilog.table import PARALLEL
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,7 @@ CELL_S = 0.5
 LEAST_MOTION_RAD_S = float(np.radians(3.0))
 """Three times the tolerance for biases; below it two healthy gyros may differ by as much."""
 
-MOTION_SIGMAS = 5.0
+MOTION_SIGMAS = 3.0
 """A cell tells if its rate is this many times the usual difference of the two."""
 
 FIT = 0.25
@@ -47,6 +48,9 @@ STANDING = float(np.log(1000.0))
 
 PIECES = 12
 """The flight is cut into this many pieces, each of which proposes one turn by any angle."""
+
+CONFIDENCE = 0.999
+"""That a turn by any angle is further than `PARALLEL` from a simple one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,8 +175,9 @@ class Cells:
             b = int(stop[k])
             a = int(total[: b + 1, k].argmin())
             a, b = first + a, first + b
-            if self._sure(k, a, b):
-                return self._turn(k, a, b, (first, last))
+            simple = self._simplest(k, a, b)
+            if simple and self._sure(simple, a, b):
+                return self._turn(simple, a, b, (first, last))
         return None
 
     def _sure(self, k: int, first: int, last: int) -> bool:
@@ -182,6 +187,23 @@ class Cells:
             return False
         share = self.apart[rows, k] / np.linalg.norm(self.rate[rows], axis=1)
         return bool(np.median(share) < FOLLOWED)
+
+    def _simplest(self, k: int, first: int, last: int) -> int:
+        """Return the simple mounting from which a turn by any angle does not surely differ."""
+        plain = signed_permutations()
+        if k < len(plain):
+            return k
+        rate, reading = self.rate[first:last], self.reading[first:last]
+        matrix = _rotation(rate, reading)
+        near = int(np.einsum("kij,ij->k", plain, matrix).argmax())
+        # The jackknife: how the angle changes as each piece of the span is left out.
+        left_out = [np.delete(np.arange(last - first), piece) for piece in _pieces(last - first)]
+        angles = np.array([_angle(_rotation(rate[r], reading[r]), plain[near]) for r in left_out])
+        n = len(angles)
+        sigma = np.sqrt((n - 1) / n * float(((angles - angles.mean()) ** 2).sum()))
+        quantile = float(student_quantile(np.array([n - 1.0]), CONFIDENCE)[0])
+        apart = _angle(matrix, plain[near]) - quantile * sigma
+        return k if apart > np.arccos(PARALLEL) else near
 
     def _turn(self, k: int, first: int, last: int, within: tuple[int, int]) -> Turn:
         sums = self.gain[first:last].sum(axis=0)
@@ -239,13 +261,22 @@ def _in_order(sums: Floats, mountings: Floats) -> Iterator[int]:
 def _proposed(rate: Floats, reading: Floats) -> Floats:
     """Propose turns by any angle, one from each piece of a flight, (n, 3, 3)."""
     found = []
-    for piece in np.array_split(np.arange(len(rate)), PIECES):
+    for piece in _pieces(len(rate)):
         matrix = _rotation(rate[piece], reading[piece])
         far = np.einsum("kij,ij->k", signed_permutations(), matrix)
         # Within ten degrees of what is thought of already it is no other mounting.
         if (far < 1.0 + 2.0 * PARALLEL).all():
             found.append(matrix)
     return np.array(found).reshape(-1, 3, 3)
+
+
+def _pieces(n: int) -> list[NDArray[np.int64]]:
+    return np.array_split(np.arange(n), PIECES)
+
+
+def _angle(matrix: Floats, other: Floats) -> float:
+    """Angle between two rotations. [rad]"""
+    return float(np.arccos(np.clip((np.einsum("ij,ij->", matrix, other) - 1.0) / 2.0, -1.0, 1.0)))
 
 
 def _rotation(rate: Floats, reading: Floats) -> Floats:

@@ -6,12 +6,12 @@ import math
 from typing import get_args
 
 from fdilog.errors import UsageError, nearest
-from fdilog.faults import KINDS, SIZE_UNITS, Fault, FaultKind
+from fdilog.faults import KINDS, MAY_HAVE_NO_SIZE, SIZE_UNITS, Fault, FaultKind
 
 SHAPE = "kind:channel:start:end[:size[:count]]"
 """How a fault is written in one word; an empty end is that of the flight."""
 
-TYPED_UNITS = {"rad/s": "deg/s", "rad/s^2": "deg/s per second", "1": "factor"}
+TYPED_UNITS = {"rad/s": "deg/s", "rad/s^2": "deg/s per second", "1": "factor", "rad": "deg"}
 """Unit in which people give a size, for each unit of `SIZE_UNITS`."""
 
 
@@ -40,8 +40,9 @@ def typed_fault(
         raise UsageError(f"no fault of kind '{kind}'{nearest(kind, list(KINDS))}")
     known: FaultKind = next(one for one in get_args(FaultKind) if one == kind)
     unit = SIZE_UNITS.get(kind)
-    if unit is not None and (size is None or not math.isfinite(size)):
-        raise UsageError(f"{kind} of {channel}: needs a size [{TYPED_UNITS[unit]}]")
+    needed = unit is not None and (size is not None or kind not in MAY_HAVE_NO_SIZE)
+    if needed and (size is None or not math.isfinite(size)):
+        raise UsageError(f"{kind} of {channel}: needs a size [{TYPED_UNITS[unit or '']}]")
     in_degrees = size is not None and (unit or "").startswith("rad")
     return Fault(
         kind=known,

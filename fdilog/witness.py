@@ -39,7 +39,7 @@ FOLLOWED = 0.5
 """A witness explains at least half of the motion of some gyros, second by second, where there is
 any to speak of: else it is that of another body, or lost."""
 
-ONE_BODY_FRAME = ("dataflash", "dataflash-text", "tlog", "ulog")
+ONE_BODY_FRAME = ("dataflash", "dataflash-text", "tlog", "ulog", "simulated")
 """Formats of autopilots, which log gyros and attitude in the frame of the vehicle."""
 
 JUMP_RAD = np.radians(5.0)
