@@ -16,7 +16,7 @@ from fdilog.faults import Fault
 from fdilog.simulate import simulate
 from fdilog.writing import write
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 READER = """
 import os, signal, time

@@ -162,9 +162,11 @@ GROUP BY v.vehicle, c.name;
 
 -- Bias and noise of each channel, flight by flight.
 CREATE VIEW sensor_history AS
-SELECT v.vehicle, c.source AS sensor, s.device_id, m.channel, m.quantity, r.start_utc,
+SELECT v.vehicle, c.source AS sensor,
+       (SELECT max(s.device_id) FROM sources s  -- a sensor that is logged twice has a row for each
+        WHERE s.result = v.result AND s.name = c.source) AS device_id,
+       m.channel, m.quantity, r.start_utc,
        (SELECT min(path) FROM logs WHERE result = v.result AND listed) AS path,
        m.estimate_rad_s, m.low_rad_s, m.high_rad_s
 FROM vehicle_results v JOIN results r ON r.result = v.result JOIN measures m ON m.result = v.result
-     JOIN channels c ON c.result = v.result AND c.name = m.channel
-     LEFT JOIN sources s ON s.result = v.result AND s.name = c.source;
+     JOIN channels c ON c.result = v.result AND c.name = m.channel;

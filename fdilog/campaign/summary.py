@@ -29,7 +29,15 @@ SECONDS_PER_DAY = 86400.0
 
 @dataclass(frozen=True, kw_only=True)
 class LogEntry:
-    """One log of the campaign; without a verdict it has its reason."""
+    """One log of the campaign; without a verdict it has its reason.
+
+    Parameters
+    ----------
+    channels
+        Names and what became of them.
+    derived
+        Names of those that are no gyro's, but witnesses.
+    """
 
     path: str
     bytes: int
@@ -46,6 +54,7 @@ class LogEntry:
     bytes_lost: int = 0
     seconds_lost: float = 0.0
     channels: tuple[tuple[str, str], ...] = ()
+    derived: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
     reports: tuple[str, ...] = ()
 
@@ -139,8 +148,11 @@ def summarise(store: Store, config: Config) -> Campaign:
 
 def _logs(store: Store) -> Iterator[LogEntry]:
     channels: dict[str, list[tuple[str, str]]] = defaultdict(list)
-    for row in store.rows("SELECT result, name, status FROM channels ORDER BY result, position"):
+    derived: dict[str, set[str]] = defaultdict(set)
+    for row in store.rows("SELECT * FROM channels ORDER BY result, position"):
         channels[row["result"]].append((row["name"], row["status"]))
+        if row["derived"]:
+            derived[row["result"]].add(row["name"])
     findings: dict[str, list[Finding]] = defaultdict(list)
     for row in store.rows("SELECT * FROM findings ORDER BY result, position"):
         findings[row["result"]].append(_finding(row))
@@ -162,6 +174,7 @@ def _logs(store: Store) -> Iterator[LogEntry]:
             bytes_lost=row["bytes_lost"] or 0,
             seconds_lost=row["seconds_lost"] or 0.0,
             channels=tuple(channels.get(result, ())),
+            derived=frozenset(derived.get(result, ())),
             findings=tuple(findings.get(result, ())),
             reports=tuple(json.loads(row["reports"] or "[]")),
         )

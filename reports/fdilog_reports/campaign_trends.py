@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fdilog.campaign.summary import Campaign, Point, Series
+from fdilog.campaign.trend import FEWEST
 from fdilog_reports.campaign_words import days_of, trend_words
-from fdilog_reports.words import DEG_PER_RAD, figure, shown
+from fdilog_reports.words import DEG_PER_RAD, figure, several, shown
 
 MOST_PANELS = 72
 MOST_POINTS = 120
@@ -41,10 +42,19 @@ class TrendPanel:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrendGroup:
+    """Series with the same answer; ``folded`` where nobody needs to see them at first."""
+
+    title: str
+    folded: bool
+    panels: tuple[TrendPanel, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Trends:
     """The pictures, and what is not in them."""
 
-    panels: tuple[TrendPanel, ...]
+    groups: tuple[TrendGroup, ...]
     left_out: str
     note: str
 
@@ -63,10 +73,31 @@ def trend_panels(campaign: Campaign) -> Trends:
         )
     rest = len(drawn) - MOST_PANELS
     return Trends(
-        panels=tuple(_panel(series, tolerance) for series in drawn[:MOST_PANELS]),
+        groups=_groups(drawn, tolerance),
         left_out=f"{rest} more series, none of which drifts: see audit.json." if rest > 0 else "",
         note=note,
     )
+
+
+def _groups(drawn: Sequence[Series], tolerance_rad_s: float) -> tuple[TrendGroup, ...]:
+    """Sort series into those that drift, those that do not, and those too short to tell."""
+    answers = {
+        "Drifting": [series for series in drawn if series.trend and series.trend.drifts],
+        "No drift shown": [series for series in drawn if series.trend and not series.trend.drifts],
+        f"Fewer than {FEWEST} flights, not tested": [s for s in drawn if s.trend is None],
+    }
+    room = MOST_PANELS
+    groups = []
+    for answer, alike in answers.items():
+        shown_ones, room = alike[:room], max(0, room - len(alike))
+        if shown_ones:
+            group = TrendGroup(
+                title=f"{answer}: {several(len(alike), 'series', 'series')}",
+                folded=answer != "Drifting",
+                panels=tuple(_panel(series, tolerance_rad_s) for series in shown_ones),
+            )
+            groups.append(group)
+    return tuple(groups)
 
 
 def _interest(series: Series) -> tuple[bool, float, str, str, str]:

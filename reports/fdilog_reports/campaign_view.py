@@ -10,7 +10,7 @@ from typing import Any
 
 from fdilog.campaign.summary import NOT_ANALYSED, Campaign, Cell, LogEntry
 from fdilog_reports import campaign_words as words
-from fdilog_reports.campaign_trends import TrendPanel, trend_panels
+from fdilog_reports.campaign_trends import TrendGroup, trend_panels
 from fdilog_reports.words import DEG_PER_RAD, SHOWN_TEXT, listed, several, shown
 
 MOST_VEHICLES = 200
@@ -87,7 +87,7 @@ class CampaignView:
     channels: tuple[str, ...]
     matrix: tuple[MatrixRow, ...]
     matrix_left_out: str
-    trends: tuple[TrendPanel, ...]
+    trends: tuple[TrendGroup, ...]
     trends_left_out: str
     trends_note: str
     failed: tuple[ListedLog, ...]
@@ -102,7 +102,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
     attention, attention_left_out = _attention(campaign)
     matrix, channels, left_out = _matrix(campaign)
     trends = trend_panels(campaign)
-    failed = [log for log in campaign.logs if log.verdict == "failed"]
+    failed = sorted((log for log in campaign.logs if log.verdict == "failed"), key=_rank)
     unread = [log for log in campaign.logs if log.verdict is None]
     return CampaignView(
         title=f"fdilog audit: {several(len(campaign.logs), 'log')}",
@@ -119,7 +119,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
         channels=tuple(map(shown, channels)),
         matrix=matrix,
         matrix_left_out=left_out,
-        trends=trends.panels,
+        trends=trends.groups,
         trends_left_out=trends.left_out,
         trends_note=trends.note,
         failed=tuple(_listed(log, words.accused(log)) for log in failed[:MOST_LISTED]),
@@ -174,6 +174,7 @@ def _attention(campaign: Campaign) -> tuple[list[Attention], str]:
         for mark, text, state, query in (
             ("unread", words.not_analysed(campaign), NOT_ANALYSED, ""),
             ("undecided", words.not_whole(campaign), "", "lost"),
+            ("insufficient", words.nothing_to_compare(campaign), "insufficient", ""),
         )
         if text
     ]
@@ -252,7 +253,7 @@ def _table(campaign: Campaign) -> dict[str, Any]:
     folders = sorted({_folder(log) for log in campaign.logs})
     vehicle_at = {name: number for number, name in enumerate(vehicles)}
     folder_at = {name: number for number, name in enumerate(folders)}
-    ranked = sorted(campaign.logs, key=lambda log: STATES.index(log.state))
+    ranked = sorted(campaign.logs, key=_rank)
     return {
         "states": [[state, MARK.get(state, state)] for state in STATES],
         "vehicles": vehicles,
@@ -273,6 +274,12 @@ def _table(campaign: Campaign) -> dict[str, Any]:
             for log in ranked
         ],
     }
+
+
+def _rank(log: LogEntry) -> tuple[int, bool, float]:
+    """Sort key: known failures before those of one among several, long ones before short ones."""
+    known = any(status == "failed" for _, status in log.channels)
+    return STATES.index(log.state), not known, -words.faulty_share(log)
 
 
 def _about(log: LogEntry) -> str:

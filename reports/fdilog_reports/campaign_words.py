@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import PurePath
 
 from fdilog.campaign.summary import NOT_ANALYSED, Campaign, LogEntry, Series
 from fdilog.campaign.trend import CONFIDENCE, FEWEST
+from fdilog.finding import Finding
 from fdilog_reports.rows import amount_lost
+from fdilog_reports.sentences import printed_size
 from fdilog_reports.words import DEG_PER_RAD, figure, listed, percent, several, shown
 
 ERROR_WORDS = {
@@ -23,6 +25,7 @@ ERROR_WORDS = {
     "memory": "too large for a worker's memory",
     "died": "ended by the death of a worker",
     "timeout": "over the time limit",
+    "pending": "not done yet",
 }
 SOONEST_YEARS = 10.0
 """Extrapolations beyond are no news to anybody."""
@@ -35,20 +38,47 @@ def name_of(log: LogEntry) -> str:
 
 
 def accused(log: LogEntry, most: int = 4) -> str:
-    """Say what the findings of a log accuse, in few words: bias imu1.y; noise imu0.x or imu1.x."""
-    kinds: dict[str, dict[str, None]] = defaultdict(dict)
+    """Say what the findings of a log accuse, and how large the worst of each kind is."""
+    of_kind: dict[str, list[Finding]] = defaultdict(list)
     for finding in log.findings:
-        suspects = [shown(name) for name in finding.suspects]
-        kinds[finding.kind][listed(suspects, "or")] = None
-    phrases = [f"{kind} {', '.join(_shortened(list(who), 3))}" for kind, who in kinds.items()]
+        of_kind[finding.kind].append(finding)
+    phrases = []
+    for kind, findings in of_kind.items():
+        who = dict.fromkeys(
+            listed([shown(name) for name in finding.suspects], "or") for finding in findings
+        )
+        size = _worst_size(findings)
+        phrases.append(
+            f"{kind} {', '.join(_shortened(list(who), 3))}" + (f", {size}" if size else "")
+        )
     return "; ".join(_shortened(phrases, most))
+
+
+def _worst_size(findings: Sequence[Finding]) -> str:
+    """Print the largest of some sizes of one kind; empty if they have none."""
+    sizes = {f.size.estimate: f for f in findings if f.size and math.isfinite(f.size.estimate)}
+    if not sizes:
+        return ""
+    usual = 1.0 if findings[0].kind == "scale" else 0.0
+    printed = str(printed_size(sizes[max(sizes, key=lambda size: abs(size - usual))]))
+    return printed if len(sizes) == 1 else f"up to {printed.removeprefix('-')}"
+
+
+def faulty_share(log: LogEntry) -> float:
+    """Return the share of a flight that the longest of its findings covers."""
+    longest_s = max((finding.end_s - finding.start_s for finding in log.findings), default=0.0)
+    return longest_s / log.duration_s if log.duration_s else 0.0
 
 
 def open_question(log: LogEntry) -> str:
     """Say why a log without a finding is not healthy; empty if it is."""
     if log.verdict == "insufficient":
         return "nothing to compare its gyros with"
-    undecided = [shown(name) for name, status in log.channels if status == "undecided"]
+    undecided = [
+        shown(name)
+        for name, status in log.channels
+        if status == "undecided" and name not in log.derived
+    ]
     if log.verdict == "undecided" and undecided:
         return f"not decided: {', '.join(_shortened(undecided, 4))}"
     return "part of the log is lost" if log.verdict == "undecided" else ""
@@ -97,8 +127,11 @@ def not_analysed(campaign: Campaign) -> str:
     number = sum(kinds.values())
     if not number:
         return ""
-    reasons = [f"{count} {ERROR_WORDS.get(kind, kind)}" for kind, count in kinds.most_common()]
-    return f"{several(number, 'log')} could not be analysed: {listed(reasons)}."
+    told = f"{several(number, 'log')} could not be analysed"
+    if len(kinds) == 1:
+        return f"{told}: {ERROR_WORDS[next(iter(kinds))]}."
+    reasons = [f"{count} {ERROR_WORDS[kind]}" for kind, count in kinds.most_common()]
+    return f"{told}: {listed(reasons)}."
 
 
 def not_whole(campaign: Campaign) -> str:
@@ -113,12 +146,19 @@ def not_whole(campaign: Campaign) -> str:
     return f"{several(len(broken), 'log')} {verb} not whole: {amount}."
 
 
+def nothing_to_compare(campaign: Campaign) -> str:
+    """Say how many logs hold nothing that their gyros could be compared with; empty if none."""
+    number = campaign.counts["insufficient"]
+    if not number:
+        return ""
+    return f"{several(number, 'log has', 'logs have')} nothing to compare the gyros with."
+
+
 def failing(campaign: Campaign) -> list[tuple[str, str, str]]:
     """Vehicles with failures, the worst first: name, what failed how often, one channel."""
     cells = defaultdict(list)
     for cell in campaign.cells:
-        if cell.failed or cell.suspect:
-            cells[cell.vehicle].append(cell)
+        cells[cell.vehicle].append(cell)
     kinds: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     latest: dict[str, str] = {}
     for log in campaign.logs:
@@ -128,19 +168,43 @@ def failing(campaign: Campaign) -> list[tuple[str, str, str]]:
         if log.verdict == "failed" and log.start_utc:
             latest[log.vehicle] = max(latest.get(log.vehicle, ""), log.start_utc)
     rows = []
-    for vehicle, bad in cells.items():
+    for vehicle, own in cells.items():
+        bad = [cell for cell in own if cell.failed or cell.suspect]
+        if not bad:
+            continue
         bad.sort(key=lambda cell: (-cell.failed, -cell.suspect, cell.channel))
-        phrases = []
+        alike: dict[str, list[str]] = defaultdict(list)
         for cell in bad:
             what = listed([kind for kind, _ in kinds[vehicle, cell.channel].most_common(3)])
             how = "failed" if cell.failed else "suspect"
-            times = cell.failed or cell.suspect
-            of = f"{how} in {times} of {several(cell.flights, 'flight')}"
-            phrases.append(f"{shown(cell.channel)} {of}" + (f" ({what})" if what else ""))
+            of = several(cell.flights - cell.insufficient, "flight")
+            told = f"{how} in {cell.failed or cell.suspect} of {of}" + (
+                f" ({what})" if what else ""
+            )
+            alike[told].append(cell.channel)
+        names = {cell.channel for cell in own}
+        phrases = [f"{_channels(some, names)} {told}" for told, some in alike.items()]
         when = f"; last on {latest[vehicle][:10]}" if vehicle in latest else ""
         text = f"{'; '.join(_shortened(phrases, 4))}{when}"
-        rows.append((-max(c.failed + c.suspect for c in bad), shown(vehicle), text, bad[0].channel))
-    return [(vehicle, text, channel) for _, vehicle, text, channel in sorted(rows)]
+        rows.append(
+            (max(c.failed + c.suspect for c in bad), latest.get(vehicle, ""), vehicle, text, bad)
+        )
+    rows.sort(key=lambda row: row[2])
+    rows.sort(key=lambda row: row[:2], reverse=True)
+    return [(shown(vehicle), text, bad[0].channel) for *_, vehicle, text, bad in rows]
+
+
+def _channels(some: Sequence[str], names: Collection[str]) -> str:
+    """Name channels; those of a source that are all of it by the source alone."""
+    own: dict[str, list[str]] = defaultdict(list)
+    for name in some:
+        own[name.rpartition(".")[0]].append(name)
+    told = []
+    for source, channels in own.items():
+        every = {name for name in names if name.rpartition(".")[0] == source}
+        whole = source and len(every) > 1 and every == set(channels)
+        told += [f"all of {shown(source)}"] if whole else map(shown, channels)
+    return listed(told)
 
 
 def trend_words(series: Series, bias_tolerance_rad_s: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import html
 import json
@@ -12,6 +13,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from fdilog.finding import Size
 from fdilog_reports import campaign_html, campaign_json, campaign_junit, campaign_markdown
 from fdilog_reports.campaign_view import campaign_view
 from tests.campaign_factory import campaign, finding, large, log, series
@@ -40,7 +42,7 @@ def test_the_page_begins_with_the_answer_and_what_to_look_at() -> None:
     assert view.headline == "A gyro failed in 1 of 3 analysed logs, on 1 vehicle."
     assert view.attention[0].vehicle == "ann"
     assert view.attention[0].text == ("imu1.y failed in 1 of 2 flights (bias); last on 2024-05-01")
-    assert view.attention[1].text == "1 log could not be analysed: 1 not readable."
+    assert view.attention[1].text == "1 log could not be analysed: not readable."
     assert view.attention[2].text.startswith("1 log is not whole: 12 bytes")
     assert [row.vehicle for row in view.matrix] == ["ann"]
     cells = dict(zip(view.channels, view.matrix[0].cells, strict=True))
@@ -77,8 +79,59 @@ def test_a_drifting_sensor_is_named_before_it_fails_and_a_steady_one_is_not() ->
     assert item.text.startswith("bias of imu2.z: Drifts by +0.")
     # 0.015 deg/s every third day from nothing: 1 deg/s after 200 days, in July.
     assert "reaches 1 deg/s about 2024-07" in item.text
-    assert [panel.drifts for panel in view.trends] == [True, False]
-    assert "No drift shown" in view.trends[1].words
+    assert [group.title for group in view.trends] == [
+        "Drifting: 1 series",
+        "No drift shown: 1 series",
+    ]
+    assert [group.folded for group in view.trends] == [False, True]
+    assert "No drift shown" in view.trends[1].panels[0].words
+
+
+def test_series_that_are_too_short_to_test_are_folded_away() -> None:
+    made = campaign(log("ann/1.bin"), all_series=(series(np.arange(3.0)), series(np.ones(1))))
+    (group,) = campaign_view(made).trends
+    assert (group.title, group.folded) == ("Fewer than 5 flights, not tested: 1 series", True)
+
+
+def test_channels_that_failed_alike_are_one_phrase() -> None:
+    states = {f"imu{k}.{axis}": "failed" for k in range(2) for axis in "xyz"}
+    states |= {"imu1.x": "healthy", "imu2.x": "insufficient"}
+    dead = finding("dead", *[name for name, state in states.items() if state == "failed"])
+    made = campaign(
+        log("1.bin", verdict="failed", channels=tuple(states.items()), findings=(dead,)),
+        log("2.bin", channels=tuple((name, "insufficient") for name in states)),
+    )
+    (item,) = campaign_view(made).attention
+    assert item.text == "all of imu0, imu1.y and imu1.z failed in 1 of 1 flight (dead)"
+
+
+def test_the_worst_failure_is_first_and_its_size_is_told() -> None:
+    suspected = finding("bias", "imu0.x", "imu1.x")
+    short = dataclasses.replace(finding("bias", "imu1.y"), end_s=2.0)
+    large_one = Size(estimate=-0.2, low=-0.21, high=-0.19, confidence=0.999, unit="rad/s")
+    longer = dataclasses.replace(finding("bias", "imu1.y"), end_s=50.0, size=large_one)
+    sure = (("imu1.y", "failed"),)
+    made = campaign(
+        log("1.bin", verdict="failed", findings=(suspected,), channels=(("imu0.x", "suspect"),)),
+        log("2.bin", verdict="failed", findings=(short,), channels=sure),
+        log("3.bin", verdict="failed", findings=(short, longer), channels=sure),
+    )
+    view = campaign_view(made)
+    told = [(row[2], row[7]) for row in view.table["rows"]]
+    assert told == [
+        ("3.bin", "bias imu1.y, up to 11.5 deg/s"),
+        ("2.bin", "bias imu1.y, 2.9 deg/s"),
+        ("1.bin", "bias imu0.x or imu1.x, 2.9 deg/s"),
+    ]
+    assert [listed.path for listed in view.failed] == ["3.bin", "2.bin", "1.bin"]
+
+
+def test_a_witness_that_is_not_decided_is_no_open_question_of_a_gyro() -> None:
+    channels = (("imu0.x", "healthy"), ("att.x", "undecided"))
+    of_witness = log("a", verdict="undecided", channels=channels, derived=frozenset(["att.x"]))
+    of_gyro = log("b", verdict="undecided", channels=(("imu0.x", "undecided"),))
+    told = [row[7] for row in campaign_view(campaign(of_witness, of_gyro)).table["rows"]]
+    assert told == ["part of the log is lost", "not decided: imu0.x"]
 
 
 def test_nothing_in_a_log_becomes_markup_or_script() -> None:
