@@ -18,6 +18,7 @@ from fdilog.detectors.observer_watch import (
     NotAskedError,
     Watch,
     check,
+    unmet,
     watched,
 )
 from fdilog.finding import Evidence
@@ -174,11 +175,7 @@ def _note(settings: ObserverSettings, watch: Watch, found: list[Alarm]) -> str:
         for name, size in zip(settings.outputs, watch.least_errors(), strict=True)
     )
     said = [f"a constant error raises an alarm beyond (SI units): {least}"]
-    for problem in watch.design.problems:
-        text = problem
-        for number, name in enumerate(settings.outputs):
-            text = text.replace(f"sensor {number} ", f"{name} ")
-        said.append(text)
+    said += unmet(settings, watch.design)
     said += [
         f"the model is contradicted {_spans(those)}, {why}"
         for those, why in (

@@ -40,6 +40,9 @@ MARGIN = 0.1
 
 FEWEST_HEALTHY = 20
 
+SLOWEST_PER_S = 1e-3
+"""An observer that forgets more slowly than over a quarter of an hour settles in no log."""
+
 LEAST_EXPLAINED = 0.5
 """An identified model must explain half of what an output does in the stretch it is made from, by
 the inputs alone: what follows a sensor without them says nothing of it."""
@@ -174,6 +177,8 @@ def watched(survey: Survey) -> Watch:
             if settings.K
             else design_observer(dynamics, _eigenvalues(settings, dynamics), outputs)
         )
+        if not bool((design.eigenvalues.real < -SLOWEST_PER_S).all()):
+            raise NotAskedError("; ".join(unmet(settings, design)))
         trim = _trim(settings, parts)
         residuals = [
             observer_residual(
@@ -189,7 +194,7 @@ def watched(survey: Survey) -> Watch:
         ]
     except ValueError as error:
         raise NotAskedError(str(error)) from None
-    slowest_s = 1.0 / max(float(np.abs(design.eigenvalues.real).min()), 1e-9)
+    slowest_s = 1.0 / float(np.abs(design.eigenvalues.real).min())
     settled = np.concatenate([run.time_s - run.time_s[0] >= FORGOTTEN * slowest_s for run in parts])
     time_s = np.concatenate([run.time_s for run in parts])[settled]
     residual = np.concatenate(residuals)[settled]
@@ -220,6 +225,20 @@ def watched(survey: Survey) -> Watch:
         step_s=settings.step_s,
         design=design,
     )
+
+
+def unmet(settings: ObserverSettings, design: ObserverDesign) -> list[str]:
+    """Say which conditions of a directional residual a design does not meet, by sensor."""
+    said = []
+    for problem in design.problems:
+        text = problem
+        for number, name in enumerate(settings.outputs):
+            text = text.replace(f"sensor {number} ", f"{name} ")
+        said.append(text)
+    if not bool((design.eigenvalues.real < 0).all()):
+        return said
+    slow = not bool((design.eigenvalues.real < -SLOWEST_PER_S).all())
+    return [*said, "the observer hardly forgets where it started"] if slow else said
 
 
 def _beyond(inputs: Floats, healthy: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -91,8 +91,27 @@ class Timeline:
     threshold: float
 
 
-def timeline(seed: int) -> Timeline:
-    """Sail the boat in a zigzag with both failures and watch it."""
+@dataclass(frozen=True)
+class Voyage:
+    """What is recorded of the boat.
+
+    Parameters
+    ----------
+    time_s : (n_samples,)
+        Time. [s]
+    rudder_rad : (n_samples,)
+        Rudder, each angle held until the next sample. [rad]
+    measured : (n_samples, 2)
+        Sway velocity and yaw rate as the two sensors tell them. [m/s, rad/s]
+    """
+
+    time_s: Floats
+    rudder_rad: Floats
+    measured: Floats
+
+
+def voyage(seed: int) -> Voyage:
+    """Sail the boat in a zigzag with both failures."""
     dynamics, inputs = vessel()
     time_s = np.arange(0.0, END_S, STEP_S)
     rudder = RUDDER_RAD * np.where(time_s % RUDDER_PERIOD_S < RUDDER_PERIOD_S / 2, 1.0, -1.0)
@@ -101,13 +120,20 @@ def timeline(seed: int) -> Timeline:
     measured += np.random.default_rng(seed).normal(0.0, NOISE, measured.shape)
     for sensor, start_s, end_s, size in FAILURES:
         measured[(time_s >= start_s) & (time_s < end_s), SENSORS.index(sensor)] += size
+    return Voyage(time_s, rudder, measured)
+
+
+def timeline(seed: int) -> Timeline:
+    """Watch the boat with a model of it."""
+    sailed = voyage(seed)
+    dynamics, inputs = vessel()
     # |r| adds metres per second to radians per second unless both are counted in their noise.
     unit = np.array(NOISE)
     dynamics = dynamics * unit / unit[:, None]
     design = design_observer(dynamics, EIGENVALUES_PER_S)
     residual = observer_residual(
-        measured / unit,
-        rudder[:, None],
+        sailed.measured / unit,
+        sailed.rudder_rad[:, None],
         step_s=STEP_S,
         dynamics=dynamics,
         inputs=inputs / unit[:, None],
@@ -115,10 +141,10 @@ def timeline(seed: int) -> Timeline:
     )
     norm = np.linalg.norm(residual, axis=1)
     return Timeline(
-        time_s=time_s,
+        time_s=sailed.time_s,
         residual_norm=norm,
         metric=directional_metric(residual, design.directions),
-        threshold=THRESHOLD_FACTOR * float(norm[time_s < HEALTHY_S].max()),
+        threshold=THRESHOLD_FACTOR * float(norm[sailed.time_s < HEALTHY_S].max()),
     )
 
 
