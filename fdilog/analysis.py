@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.autopilot import STREAMS, AutopilotNote, autopilot_notes, with_quotes
 from fdilog.calibration import Calibration, calibrate, with_notes
 from fdilog.config import Config, load_config
 from fdilog.errors import NoGyroError, UsageError
@@ -21,6 +22,8 @@ from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from fdilog.biases import Hearing
     from fdilog.witness import Witness
 
@@ -58,6 +61,15 @@ class Isolability:
     groups: tuple[tuple[str, ...], ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Which part of a flight to look at; times are seconds of flight time."""
+
+    start_s: float = -np.inf
+    end_s: float = np.inf
+    armed: bool = False
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Analysis:
     """The result of analysing one log; ``to_json`` gives the stable form of it.
@@ -68,6 +80,10 @@ class Analysis:
         For each channel of the table, in its order.
     evidence
         Every detector's answers, for pictures and for whoever wants to know why.
+    part
+        Which part of the flight was asked for.
+    autopilot
+        What the autopilot said of its gyros itself; nothing follows from it.
     """
 
     log: LogInfo
@@ -83,6 +99,8 @@ class Analysis:
     findings: tuple[Finding, ...]
     evidence: tuple[Evidence, ...]
     config: Config = field(default_factory=Config)
+    part: Part = field(default_factory=Part)
+    autopilot: tuple[AutopilotNote, ...] = ()
 
     def to_json(self) -> str:
         """Return the JSON result, the same bytes for the same log and configuration."""
@@ -103,20 +121,37 @@ class Analysis:
         """Write the self-contained HTML report."""
         Path(path).write_text(self._render("html"), encoding="utf-8", newline="\n")
 
+    def findings_frame(self) -> pd.DataFrame:
+        """Return the findings as a pandas table, one row each; see `fdilog.frames`."""
+        from fdilog.frames import findings_frame
+
+        return findings_frame(self)
+
+    def channels_frame(self) -> pd.DataFrame:
+        """Return the channels as a pandas table, one row each, indexed by name."""
+        from fdilog.frames import channels_frame
+
+        return channels_frame(self)
+
+    def plot(self) -> Any:
+        """Return the linked plots; a notebook shows them, ``.save(path)`` writes a page."""
+        from fdilog.registry import plugin
+
+        return plugin("reports", "notebook").figure(self)
+
+    def _repr_html_(self) -> str:
+        """Show verdict, findings and timeline in a notebook."""
+        return self._render("notebook")
+
+    def __repr__(self) -> str:
+        findings = f"{len(self.findings)} finding{'s' * (len(self.findings) != 1)}"
+        return f"<Analysis of {self.log.path!r}: {self.verdict}, {findings}>"
+
     def _render(self, name: str) -> str:
         from fdilog.registry import plugin
 
         text: str = plugin("reports", name).render(self)
         return text
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """Which part of a flight to look at; times are seconds of flight time."""
-
-    start_s: float = -np.inf
-    end_s: float = np.inf
-    armed: bool = False
 
 
 def analyse(
@@ -170,13 +205,20 @@ def analyse_recording(
 ) -> Analysis:
     """Analyse what a reader found; see `analyse`."""
     progress("choosing gyros")
+    part = part or Part()
     assembly = assemble(recording, config)
-    table = _part_of(assembly, recording, part or Part())
+    table = _part_of(assembly, recording, part)
     judged = judge(table, config, progress, assembly.witness)
     judged, notes = _held_against_model(
         judged, recording, table, config, zero_ns=assembly.zero_ns, progress=progress
     )
     completeness = _completeness(recording, assembly, notes)
+    quoted = autopilot_notes(
+        recording,
+        assembly.zero_ns,
+        (float(table.time_s[0]), float(table.time_s[-1])),
+        [source.name for source in assembly.sources if source.used],
+    )
     return Analysis(
         log=_log_info(recording, assembly, sha256),
         completeness=completeness,
@@ -188,18 +230,20 @@ def analyse_recording(
         calibration=judged.calibration,
         isolability=_isolability(table),
         verdict=_verdict(table, judged.status, whole=completeness.whole),
-        findings=judged.findings,
+        findings=with_quotes(judged.findings, quoted, recording),
         evidence=judged.evidence,
         config=config,
+        part=part,
+        autopilot=quoted,
     )
 
 
 def _asked_for(config: Config) -> list[str]:
-    """List the streams that the configuration names, gyros and others."""
+    """List the streams that the configuration names, and those of the autopilot's own opinion."""
     from fdilog.signals import streams_of
 
     named = (*config.observer.outputs, *config.observer.inputs)
-    return [*(source.topic for source in config.sources.gyro), *streams_of(named)]
+    return [*(source.topic for source in config.sources.gyro), *streams_of(named), *STREAMS]
 
 
 def _held_against_model(

@@ -16,7 +16,9 @@ from fdilog.recording import Problem
 
 suffix = ".json"
 
-_LONE_SURROGATE = re.compile("[\ud800-\udfff]")
+# Lone surrogates, which UTF-8 cannot hold, and what a terminal would obey: delete, C1 controls
+# and marks of direction. As escapes they are the same JSON.
+_ESCAPED = re.compile("[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def render(analysis: Analysis) -> str:
@@ -28,7 +30,7 @@ def render(analysis: Analysis) -> str:
     text = json.dumps(
         plain(result(analysis)), ensure_ascii=False, allow_nan=False, separators=(",", ":")
     )
-    return _LONE_SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text) + "\n"
+    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", text) + "\n"
 
 
 def result(analysis: Analysis) -> dict[str, Any]:

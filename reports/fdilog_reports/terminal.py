@@ -48,14 +48,18 @@ def show(analysis: Analysis, console: Console) -> None:
     console.print(Text(seen.verdict.sentence))
     for note in seen.verdict.notes:
         console.print(Text(note, "yellow"))
-    facts = {fact.label: fact.value for fact in seen.facts if fact.value != "not known"}
-    told = (f"{before}{facts[label]}" for label, before in _FACTS.items() if label in facts)
-    console.print(Text("; ".join(told), "dim"))
+    console.print(Text(short_facts(seen), "dim"))
     if analysis.findings:
         console.print()
         _show_findings(analysis, seen, console)
     _show_strip(analysis, console)
     _show_losses(seen, console)
+
+
+def short_facts(seen: Report) -> str:
+    """Say in a line how long, how many gyros, when, what flew."""
+    facts = {fact.label: fact.value for fact in seen.facts if fact.value != "not known"}
+    return "; ".join(f"{lead}{facts[label]}" for label, lead in _FACTS.items() if label in facts)
 
 
 def _show_findings(analysis: Analysis, seen: Report, console: Console) -> None:

@@ -153,3 +153,12 @@ def test_an_empty_table_has_no_rate() -> None:
     validate(result)
     assert result["table"]["rate_hz"] == 50.0
     assert result["table"]["samples"] == 1
+
+
+def test_json_on_a_terminal_holds_nothing_that_it_obeys() -> None:
+    made = failed_analysis()
+    name = "a\x1b[2J\x7f\u009b31m\u202eb\u2066\u200f\u2028\udcff"
+    hostile = dataclasses.replace(made, log=dataclasses.replace(made.log, path=name))
+    text = report.render(hostile)
+    assert all(char.isprintable() for char in text.rstrip("\n"))
+    assert json.loads(text)["log"]["path"] == name
