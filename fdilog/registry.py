@@ -60,7 +60,11 @@ class Detector(Protocol):
 
 
 class Report(Protocol):
-    """A module that turns an analysis into one text file."""
+    """A module that turns an analysis into one text file.
+
+    One whose files can share others also has ``shared_files() -> dict[str, str]``, texts by file
+    name, and ``render_shared(analysis)`` for a file in a folder that holds them.
+    """
 
     suffix: str
 

@@ -39,8 +39,8 @@ LONGEST_STEM = 60
 class Progress(Protocol):
     """Somebody who is told how far it has come."""
 
-    def begin(self, logs: int, reused: int) -> None:
-        """Be told how many logs are to be done now, and how many were done before."""
+    def begin(self, logs: int, reused: int, where: str) -> None:
+        """Be told how many logs are to be done now, how many were done before, and by whom."""
 
     def done(self, path: str, state: str, words: str) -> None:
         """Be told of one log."""
@@ -81,6 +81,23 @@ class Settings:
         except AttributeError:  # systems that do not tell
             return os.cpu_count() or 1
 
+    @property
+    def worker_bytes(self) -> int:
+        """What the data of one worker on this machine may take; 0 for no limit."""
+        if self.memory_bytes is not None:
+            return self.memory_bytes
+        return int(MEMORY_SHARE * machine_memory_bytes() / self.workers)
+
+    @property
+    def where(self) -> str:
+        """Who does the work, and what each may take."""
+        if self.cluster:
+            return f"on {self.cluster}"
+        number = f"{self.workers} worker{'s' * (self.workers != 1)}"
+        if not self.worker_bytes:
+            return f"{number} with no limit of memory"
+        return f"{number} of at most {self.worker_bytes / 1e9:.3g} GB"
+
 
 def audit(
     targets: Sequence[str],
@@ -118,6 +135,7 @@ def audit(
     try:
         store.begin(targets, settings.config.sha256)
         work = _Work(store, settings, progress)
+        share(output / LOGS, settings.formats)
         if follow is None:
             store.list_only(candidates)
             work.do(candidates)
@@ -138,7 +156,7 @@ def _follow(work: _Work, targets: Sequence[str], go_on: Callable[[], bool]) -> N
     while go_on():
         now = time.monotonic()
         ready = []
-        for candidate in discover(targets, work.store.folder):
+        for candidate in _found_now(targets, work.store.folder):
             state = (candidate.size, candidate.stamp)
             if done.get(candidate.path) == state:
                 continue
@@ -155,12 +173,20 @@ def _follow(work: _Work, targets: Sequence[str], go_on: Callable[[], bool]) -> N
         time.sleep(POLL_S)
 
 
+def _found_now(targets: Sequence[str], output: Path) -> list[Candidate]:
+    """Find what there is at this moment; nothing while a disk or a network is away."""
+    try:
+        return discover(targets, output)
+    except FdilogError:
+        return []
+
+
 def _settled(candidate: Candidate, unchanged_s: float) -> bool:
     """Tell a log that is complete from one that is still being copied."""
     if unchanged_s >= SETTLED_S:
         return True
-    if not candidate.stamp.isdecimal():
-        return True  # an object store shows what is complete, and nothing else
+    if candidate.remote and candidate.stamp:
+        return True  # a store that tells a tag or a time shows what is complete, and nothing else
     return time.time() - int(candidate.stamp) / 1e9 >= SETTLED_S + POLL_S
 
 
@@ -192,7 +218,7 @@ class _Work:
         self.store.count(reused=reused)
         leaders = sorted(shared.values(), key=lambda group: (-group[0].size, group[0].key))
         if self.progress is not None:
-            self.progress.begin(sum(map(len, leaders)), reused)
+            self.progress.begin(sum(map(len, leaders)), reused, self.settings.where)
         self._analyse(leaders)
         if self.progress is not None:
             self.progress.end()
@@ -208,10 +234,10 @@ class _Work:
             if candidate.error is not None:
                 self._refuse(candidate, "unreachable", candidate.error)
                 continue
-            as_it_was = row is not None and (row["bytes"], row["stamp"]) == (
-                candidate.size,
-                candidate.stamp,
-            )
+            state = (candidate.size, candidate.stamp)
+            # Without a stamp nobody can tell: some servers say neither a tag nor a time.
+            told = bool(candidate.stamp)
+            as_it_was = row is not None and told and (row["bytes"], row["stamp"]) == state
             if row is not None and as_it_was and row["sha256"]:
                 self._sha256[candidate.path] = row["sha256"]
                 result = result_id(row["sha256"], self.config_sha256)
@@ -281,9 +307,7 @@ class _Work:
             if settings.cluster:
                 lanes.append(_cluster(settings.cluster))
             else:
-                memory = settings.memory_bytes
-                if memory is None:
-                    memory = int(MEMORY_SHARE * machine_memory_bytes() / settings.workers)
+                memory = settings.worker_bytes
                 lanes += [WorkerLane(memory) for _ in range(min(settings.workers, tasks))]
             yield lanes
             now = False
@@ -361,6 +385,18 @@ def write_reports(store: Store, config: Config) -> Campaign:
     for report in plugins("campaign_reports").values():
         write_whole(store.folder / report.file_name, report.render(campaign).encode("utf-8"))
     return campaign
+
+
+def share(folder: Path, formats: Sequence[str]) -> None:
+    """Write the files that the reports of many logs share, once for all of them."""
+    from fdilog.registry import plugin
+
+    for name in formats:
+        for file_name, text in getattr(plugin("reports", name), "shared_files", dict)().items():
+            content = text.encode("utf-8")
+            path = folder / file_name
+            if not path.is_file() or path.read_bytes() != content:
+                write_whole(path, content)
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -122,7 +122,8 @@ def _reports(analysis: Analysis, formats: tuple[str, ...]) -> tuple[tuple[str, b
     made = []
     for name in formats:
         report: Any = plugin("reports", name)
-        made.append((report.suffix, report.render(analysis).encode("utf-8")))
+        render = getattr(report, "render_shared", report.render)
+        made.append((report.suffix, render(analysis).encode("utf-8")))
     return tuple(made)
 
 

@@ -56,3 +56,15 @@ def test_an_output_that_cannot_be_written_is_one_line_and_2(healthy: Path, tmp_p
     assert done.returncode == 2
     assert "not a directory" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_reports_of_an_audit_share_one_script_file(healthy: Path, tmp_path: Path) -> None:
+    done = run_audit(healthy, "-o", tmp_path / "out", "-j", "1", "--format", "html", "-q")
+    assert done.returncode == 0
+    (script,) = (tmp_path / "out" / "logs").glob("*.js")
+    (page,) = (tmp_path / "out" / "logs").glob("*.html")
+    assert f'<script src="{script.name}"></script>' in page.read_text("utf-8")
+    assert page.stat().st_size < 500_000 < script.stat().st_size
+    script.write_text("cut short", "utf-8")
+    run_audit(healthy, "-o", tmp_path / "out", "-j", "1", "--format", "html", "-q")
+    assert script.stat().st_size > 500_000
