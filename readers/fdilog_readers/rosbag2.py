@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -79,8 +80,8 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
     for file in bag.files:
         try:
             size += file.stat().st_size
-            with _uncompressed(file) as plain:
-                problems += _read_file(topics, plain)
+            with _uncompressed(file) as (plain, damage):
+                problems += damage + _read_file(topics, plain, is_copy=plain != file)
         except UnreadableLogError as error:
             failures.append(str(error))
             problems.append(Problem(what=plain_text(str(error))))
@@ -113,11 +114,14 @@ class _Bag:
     problems: tuple[Problem, ...]
 
 
-def _read_file(topics: Topics, path: Path) -> list[Problem]:
+def _read_file(topics: Topics, path: Path, *, is_copy: bool) -> list[Problem]:
     with opened(path) as data:
         if data.at(0, len(mcap_records.MAGIC)) == mcap_records.MAGIC:
-            return mcap.read_into(topics, data, str(path))
-    return rosbag2_sqlite.read_into(topics, path)
+            problems = mcap.read_into(topics, data, str(path))
+        else:
+            problems = rosbag2_sqlite.read_into(topics, path)
+    # A place in what was unpacked is none in the file.
+    return [replace(problem, offset=None) for problem in problems] if is_copy else problems
 
 
 def _described(folder: Path) -> _Bag:
@@ -199,20 +203,26 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 @contextmanager
-def _uncompressed(path: Path) -> Iterator[Path]:
+def _uncompressed(path: Path) -> Iterator[tuple[Path, list[Problem]]]:
     """Give a file that was compressed as a whole back its content, in a temporary folder."""
     if path.suffix != ".zstd":
-        yield path
+        yield path, []
         return
     import zstandard
 
+    problems: list[Problem] = []
     with tempfile.TemporaryDirectory(prefix="fdilog-") as folder:
         plain = Path(folder) / path.stem
         try:
             with path.open("rb") as packed, plain.open("wb") as unpacked:
                 tool = zstandard.ZstdDecompressor()
-                tool.copy_stream(packed, unpacked, COPY_BYTES, COPY_BYTES)
+                with tool.stream_reader(packed, read_across_frames=True) as content:
+                    shutil.copyfileobj(content, unpacked, COPY_BYTES)
         except zstandard.ZstdError as error:
             if not plain.stat().st_size:
                 raise UnreadableLogError(f"{path}: does not decompress ({error})") from error
-        yield plain
+            problems.append(Problem(what=f"{plain_text(path.name)} is damaged: {error}"))
+        try:
+            yield plain, problems
+        except UnreadableLogError as error:  # it names what nobody but us has seen
+            raise UnreadableLogError(str(error).replace(str(plain), str(path))) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 import struct
@@ -22,10 +21,12 @@ from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem
 from fdilog_readers.message_batch import Batch, side_by_side
 from fdilog_readers.message_reading import open_topic
+from fdilog_readers.rosbag2_last_page import mend
 from fdilog_readers.topics import Topic, Topics
 
 MAGIC = b"SQLite format 3\x00"
 HEAD_BYTES = 100
+RESERVED_AT = 20
 # So many rows of a sensor's size stay in the processor's cache while they are sorted.
 ROWS_AT_ONCE = 2048
 FIRST_ID = -(1 << 62)
@@ -63,7 +64,8 @@ def _opened(path: Path, problems: list[Problem]) -> Iterator[sqlite3.Connection]
         size = file.seek(0, 2)
     if not head.startswith(MAGIC):
         raise UnreadableLogError(f"{path}: no SQLite file: it begins with {head[:8]!r}")
-    page_bytes, pages = struct.unpack(">H10xI", head[16:32].ljust(16, b"\0"))
+    head = head.ljust(HEAD_BYTES, b"\0")
+    page_bytes, pages = struct.unpack(">H10xI", head[16:32])
     page_bytes = page_bytes if page_bytes > 1 else 65536
     missing = pages * page_bytes - size
     if missing > 0 and head[24:28] == head[92:96]:  # else the number of pages is out of date
@@ -85,8 +87,7 @@ def _opened(path: Path, problems: list[Problem]) -> Iterator[sqlite3.Connection]
         for original in (path, *beside):
             shutil.copyfile(original, Path(folder) / original.name)
         if not beside:
-            # SQLite would fill the rest of the last page with zeros, and call them readings.
-            os.truncate(Path(folder) / path.name, size - size % page_bytes)
+            mend(Path(folder) / path.name, page_bytes, head[RESERVED_AT])
         with _connected((Path(folder) / path.name).as_uri()) as connection:
             yield connection
 
@@ -177,7 +178,10 @@ class _Messages:
             while row := cursor.fetchone():
                 rows.append(row)
         except sqlite3.DatabaseError:
-            pass
+            # Python steps on before it hands a row out: the one before the damage came to nothing.
+            before = self._reads(rows[-1][0] if rows else last)
+            if before:
+                rows.append(tuple(before))
         return self._take(rows, last) if rows else last
 
     def _step_over(self, last: int, error: sqlite3.Error) -> int | None:

@@ -65,7 +65,8 @@ def _read(path: Path, file: Any, key: str) -> Cells:
             group = file.read_row_group(index)
             groups.append([_floats(group.column(number)) for number in numbers])
         except (pa.ArrowException, OSError) as error:
-            problems.append(_lost(file.metadata.row_group(index), index, error))
+            size = path.stat().st_size
+            problems.append(_lost(file.metadata.row_group(index), index, size, error))
     columns = [np.empty(0)] * len(headers)
     for place, number in enumerate(numbers):
         columns[number] = np.concatenate([np.empty(0), *(group[place] for group in groups)])
@@ -84,12 +85,15 @@ def _floats(column: Any) -> NDArray[np.float64]:
     return values
 
 
-def _lost(group: Any, index: int, error: Exception) -> Problem:
+def _lost(group: Any, index: int, size: int, error: Exception) -> Problem:
     chunks = [group.column(number) for number in range(group.num_columns)]
+    begin = min((chunk.data_page_offset for chunk in chunks), default=-1)
+    lost = sum(chunk.total_compressed_size for chunk in chunks)
+    possible = 0 <= begin <= begin + lost <= size  # these numbers may be the damaged ones
     return Problem(
         what=f"row group {index}: its {group.num_rows} rows are damaged: {_first_line(error)}",
-        offset=min((chunk.data_page_offset for chunk in chunks), default=None),
-        bytes_lost=sum(chunk.total_compressed_size for chunk in chunks),
+        offset=begin if possible else None,
+        bytes_lost=lost if possible else None,
     )
 
 

@@ -14,6 +14,7 @@ from fdilog.errors import UnreadableLogError
 from fdilog.recording import Recording
 from fdilog.registry import is_log_directory, read
 from fdilog_readers import rosbag2, rosbag2_sqlite
+from fdilog_readers.rosbag2_last_page import TABLE_LEAF
 from tests import bags
 from tests.bags import IMU, assert_part, assert_same, by_time, losses, readings, stream
 
@@ -257,6 +258,33 @@ def test_many_messages_are_fetched_piece_by_piece(
 ) -> None:
     monkeypatch.setattr(rosbag2_sqlite, "ROWS_AT_ONCE", 7)
     assert_both(rosbag2.read(bag))
+
+
+def test_a_cut_within_the_last_page_costs_only_the_rows_that_it_touches(bag: Path) -> None:
+    database = bag / "bag.db3"
+    content = database.read_bytes()
+    page_bytes = 4096
+    begin = max(at for at in range(0, len(content), page_bytes) if content[at] == TABLE_LEAF)
+    rows = int.from_bytes(content[begin + 3 : begin + 5], "big")
+    pointers = content[begin + 8 : begin + 8 + 2 * rows]
+    starts = [int.from_bytes(pointers[k : k + 2], "big") for k in range(0, 2 * rows, 2)]
+    assert starts == sorted(starts, reverse=True)
+    assert rows > 3
+
+    def count(size: int) -> int:
+        database.write_bytes(content[:size])
+        recording = rosbag2.read(bag)
+        return sum(
+            assert_part(stream(recording, topic), imus)
+            for topic, imus in (("/imu/left", LEFT), ("/imu/right", RIGHT))
+        )
+
+    fewest = count(begin)
+    assert count(begin + 5) == fewest
+    assert count(begin + page_bytes) == fewest + rows
+    for k, start in enumerate(starts[:-1]):
+        assert count(begin + start) == fewest + rows - k - 1
+        assert count(begin + start - 1) == fewest + rows - k - 2
 
 
 def test_a_folder_of_several_recordings_is_not_one_bag(tmp_path: Path, bag: Path) -> None:
