@@ -112,6 +112,21 @@ def result(analysis: Analysis) -> dict[str, Any]:
         },
         "verdict": analysis.verdict,
         "findings": [finding_result(finding) for finding in analysis.findings],
+        "part": {
+            "start_s": analysis.part.start_s,
+            "end_s": analysis.part.end_s,
+            "armed": analysis.part.armed,
+        },
+        "autopilot": [
+            {
+                "source": note.source,
+                "gyro": note.gyro,
+                "what": note.what,
+                "start_s": note.start_s,
+                "end_s": note.end_s,
+            }
+            for note in analysis.autopilot
+        ],
     }
 
 

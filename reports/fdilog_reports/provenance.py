@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import shlex
 from collections.abc import Mapping
 from typing import Any
 
+from fdilog.analysis import Part
 from fdilog.config import Config
 from fdilog_reports.words import encodable
 
@@ -16,10 +18,17 @@ CONFIG_FILE = "fdilog.toml"
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def command(path: str, config: Config) -> str:
-    """Return the command line that repeats the analysis of a log."""
-    options = "" if config == Config() else f" --config {CONFIG_FILE}"
-    return f"fdilog analyse {_shell_word(path)}{options}"
+def command(path: str, config: Config, part: Part | None = None) -> str:
+    """Return the command line that repeats the analysis of a log, or of a part of it."""
+    options = [] if config == Config() else ["--config", CONFIG_FILE]
+    part = part or Part()
+    if math.isfinite(part.start_s):
+        options += ["--from", repr(float(part.start_s))]
+    if math.isfinite(part.end_s):
+        options += ["--to", repr(float(part.end_s))]
+    if part.armed:
+        options.append("--armed")
+    return " ".join(["fdilog", "analyse", _shell_word(path), *options])
 
 
 def _shell_word(path: str) -> str:

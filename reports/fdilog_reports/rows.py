@@ -106,9 +106,20 @@ class ConstantRow:
     note: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class QuoteRow:
+    """One thing that the autopilot said of its gyros itself."""
+
+    source: str
+    gyro: str
+    what: str
+    when: str
+
+
 def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow:
     """Put one finding into words and numbers."""
-    size = sentences.printed_size(finding)
+    size = sentences.printed_size(finding, flipped=sentences.negated(finding, analysis))
+    any_suspect = finding.isolated or sentences.size_is_shared(finding, analysis)
     tolerance = _tolerance(finding, analysis)
     when = flight_time(finding.start_s, finding.end_s)
     interval = f"{size.interval} {size.unit} ({size.confidence})" if size else ""
@@ -122,7 +133,7 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         ),
         Fact(label="When", value=when),
         Fact(
-            label="Size" if finding.isolated else f"Size, if {shown(finding.suspects[0])}",
+            label="Size" if any_suspect else f"Size, if {shown(finding.suspects[0])}",
             value=str(size or ("not bounded" if finding.kind in SIZE_UNIT else "")),
         ),
         Fact(label="Interval", value=interval),
@@ -284,4 +295,17 @@ def calibration_rows(analysis: Analysis) -> tuple[ConstantRow, ...]:
             note=shown(constant.note or "", SHOWN_TEXT),
         )
         for constant in analysis.calibration
+    )
+
+
+def quote_rows(analysis: Analysis) -> tuple[QuoteRow, ...]:
+    """Quote the autopilot, in order of time."""
+    return tuple(
+        QuoteRow(
+            source=shown(note.source),
+            gyro=shown(note.gyro or ""),
+            what=shown(note.what, SHOWN_TEXT),
+            when=flight_time(note.start_s, note.end_s),
+        )
+        for note in analysis.autopilot
     )

@@ -101,7 +101,8 @@ def negative(size: Size, usual: float = 0.0) -> bool:
 
 def suspects(finding: Finding) -> str:
     """Name whom a finding accuses."""
-    return listed([shown(name) for name in finding.suspects], "or")
+    joint = "and" if finding.one_source else "or"
+    return listed([shown(name) for name in finding.suspects], joint)
 
 
 def finding_sentence(finding: Finding, analysis: Analysis) -> str:
@@ -179,7 +180,7 @@ _CLAIM = {
     "stuck": "was stuck at one value",
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",
-    "mounting": "points elsewhere than its mounting says",
+    "mounting": "read as if mounted otherwise",
     "disagreement": "disagreed with what was expected of it",
 }
 _CLAIM_OF_SEVERAL = {
@@ -198,7 +199,7 @@ _UNSIZED = {
     "stuck": "was stuck at one value",
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",
-    "mounting": "points elsewhere than its mounting says",
+    "mounting": "read as if mounted otherwise",
     "disagreement": "disagreed with what was expected of it",
 }
 
@@ -241,8 +242,8 @@ def verdict_sentence(analysis: Analysis) -> str:
 def _failed(analysis: Analysis) -> str:
     alone: dict[str, list[str]] = {}
     for finding in analysis.findings:
-        if finding.isolated:
-            kinds = alone.setdefault(finding.suspects[0], [])
+        for name in finding.suspects if finding.isolated else ():
+            kinds = alone.setdefault(name, [])
             kinds += [KIND_NAME[finding.kind]] if KIND_NAME[finding.kind] not in kinds else []
     groups = list(dict.fromkeys(f.suspects for f in analysis.findings if not f.isolated))
     if len(analysis.findings) == 1:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fdilog.analysis import Analysis
+from fdilog_reports.rows import QuoteRow
 from fdilog_reports.view import report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 suffix = ".txt"
+MOST_QUOTES = 3
 
 
 def render(analysis: Analysis, *, brief: bool = False) -> str:
@@ -24,7 +26,15 @@ def render(analysis: Analysis, *, brief: bool = False) -> str:
         lines += [f"  {finding.number}. {finding.sentence}" for finding in seen.findings]
     if seen.findings_left_out:
         lines.append(f"  {seen.findings_left_out}")
+    lines += [f"  The autopilot: {_quote(quote)}." for quote in seen.autopilot[:MOST_QUOTES]]
+    if len(seen.autopilot) > MOST_QUOTES:
+        lines.append(f"  The autopilot: {len(seen.autopilot) - MOST_QUOTES} more; see the report.")
     return "\n".join(lines) + "\n"
+
+
+def _quote(quote: QuoteRow) -> str:
+    what = f"{quote.gyro} {quote.what}" if quote.gyro else quote.what
+    return f"{what}, {quote.when} ({quote.source})"
 
 
 def show(analysis: Analysis, console: Console) -> None:

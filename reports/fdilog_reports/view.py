@@ -6,6 +6,7 @@ given. Every string of a log's or a path's has passed through `words.shown`.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -21,6 +22,7 @@ from fdilog_reports.rows import (
     Fact,
     FindingRow,
     LossRow,
+    QuoteRow,
     SourceRow,
     amount_lost,
     calibration_rows,
@@ -28,6 +30,7 @@ from fdilog_reports.rows import (
     clock_rows,
     finding_row,
     loss_row,
+    quote_rows,
     source_row,
 )
 from fdilog_reports.words import (
@@ -77,6 +80,7 @@ class Report:
     blind_spots: tuple[str, ...]
     clocks: tuple[ConstantRow, ...]
     calibration: tuple[ConstantRow, ...]
+    autopilot: tuple[QuoteRow, ...]
     provenance: tuple[Fact, ...]
     command: str
     configuration: str
@@ -114,6 +118,7 @@ def report(analysis: Analysis) -> Report:
         blind_spots=tuple(sentences.blind_spots(analysis)),
         clocks=clock_rows(analysis),
         calibration=calibration_rows(analysis),
+        autopilot=quote_rows(analysis),
         provenance=(
             Fact(label="Log", value=shown(log.path, SHOWN_TEXT)),
             Fact(label="SHA-256 of the log", value=shown(log.sha256, SHOWN_TEXT)),
@@ -128,7 +133,7 @@ def report(analysis: Analysis) -> Report:
                 value=", ".join(sorted({shown(e.detector) for e in analysis.evidence})) or "none",
             ),
         ),
-        command=provenance.command(log.path, analysis.config),
+        command=provenance.command(log.path, analysis.config, analysis.part),
         configuration=provenance.configuration(analysis.config),
         config_file=provenance.CONFIG_FILE,
         json_name=_json_name(log.path),
@@ -193,7 +198,20 @@ def _analysed(analysis: Analysis) -> str:
         return "no sample"
     part = table.duration_s
     of = f" of {figure(whole, 5)} s" if whole - part > max(1.0, 0.01 * whole) else ""
-    return f"{figure(part, 5)} s{of}, {several(len(table.time_s), 'sample')}"
+    asked = _asked(analysis)
+    return f"{figure(part, 5)} s{of}{asked}, {several(len(table.time_s), 'sample')}"
+
+
+def _asked(analysis: Analysis) -> str:
+    """Say which part of the flight was asked for."""
+    part, words = analysis.part, []
+    if math.isfinite(part.start_s):
+        words.append(f"from {figure(part.start_s, 5)} s")
+    if math.isfinite(part.end_s):
+        words.append(f"to {figure(part.end_s, 5)} s")
+    if part.armed:
+        words.append("while armed")
+    return f" ({' '.join(words)})" if words else ""
 
 
 def _missing(analysis: Analysis) -> str:

@@ -40,7 +40,7 @@ def analysis(
     return analyse_recording(recording, OWN_FINDINGS)
 
 
-def mounted(channel: str, size: float | None = None, **when: float) -> Fault:
+def mounted(channel: str, size: float | None = None, **when: Any) -> Fault:
     return Fault(kind="mounting", channel=channel, size=size, **when)
 
 

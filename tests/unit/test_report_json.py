@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fdilog.analysis import Analysis
+from fdilog.analysis import Analysis, Part
+from fdilog.autopilot import AutopilotNote
 from fdilog.finding import Interval, Size
 from fdilog_reports import json as report
 from tests.reports_factory import analysis, bias, failed_analysis, pair_analysis, table
@@ -71,7 +72,7 @@ def test_keys_come_in_the_order_of_the_contract() -> None:
     result = json.loads(report.render(failed_analysis()))
     assert list(result) == [
         "schema", "fdilog_version", "config_sha256", "log", "completeness", "sources", "table",
-        "clocks", "calibration", "isolability", "verdict", "findings",
+        "clocks", "calibration", "isolability", "verdict", "findings", "part", "autopilot",
     ]  # fmt: skip
     assert list(result["log"]) == [
         "path", "format", "bytes", "sha256", "start_utc", "duration_s", "vehicle",
@@ -83,6 +84,25 @@ def test_keys_come_in_the_order_of_the_contract() -> None:
         "kind", "suspects", "isolated", "start_s", "end_s", "size", "guaranteed", "detectors",
         "dissent", "witness", "detail",
     ]  # fmt: skip
+
+
+def test_the_part_that_was_asked_for_and_the_quotes_are_in_the_result() -> None:
+    quote = AutopilotNote(
+        source="IMU[1]", gyro="imu1", what="flagged unhealthy", start_s=1.0, end_s=2.5
+    )
+    told = analysis(part=Part(start_s=30.0, armed=True), autopilot=(quote,))
+    result = json.loads(report.render(told))
+    assert result["part"] == {"start_s": 30.0, "end_s": None, "armed": True}
+    assert result["autopilot"] == [
+        {
+            "source": "IMU[1]",
+            "gyro": "imu1",
+            "what": "flagged unhealthy",
+            "start_s": 1.0,
+            "end_s": 2.5,
+        }
+    ]
+    validate(result)
 
 
 def test_problems_carry_what_was_lost_and_where() -> None:

@@ -8,6 +8,7 @@ import tomllib
 
 import pytest
 
+from fdilog.analysis import Part
 from fdilog.config import Config, Geometry, GyroSource, config_from_dict
 from fdilog_reports.provenance import command, configuration
 
@@ -53,6 +54,14 @@ def test_the_printed_configuration_reads_back_as_the_same(config: Config) -> Non
 def test_the_command_names_the_configuration_only_if_it_is_not_the_default() -> None:
     assert command("flight.bin", Config()) == "fdilog analyse flight.bin"
     assert command("flight.bin", settings()) == "fdilog analyse flight.bin --config fdilog.toml"
+
+
+def test_the_command_repeats_the_part_that_was_asked_for() -> None:
+    part = Part(start_s=30.25, end_s=90.0, armed=True)
+    assert command("flight.bin", Config(), part) == (
+        "fdilog analyse flight.bin --from 30.25 --to 90.0 --armed"
+    )
+    assert command("a.bin", Config(), Part(end_s=1e-7)) == "fdilog analyse a.bin --to 1e-07"
 
 
 @pytest.mark.parametrize(

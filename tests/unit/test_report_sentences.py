@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fdilog.finding import Size
+from fdilog.analysis import Part
+from fdilog.autopilot import AutopilotNote
+from fdilog.finding import Finding, Size
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
 from fdilog_reports.view import report
 from fdilog_reports.words import DEG_PER_RAD
@@ -183,3 +185,38 @@ def test_groups_of_suspects_are_named_as_long_as_a_sentence_holds_them() -> None
     assert verdict_sentence(pair_analysis(findings=many)).startswith(
         "One in each of 5 groups of channels failed"
     )
+
+
+def test_a_device_that_is_mounted_otherwise_is_named_as_a_whole() -> None:
+    found = Finding(
+        kind="mounting",
+        suspects=("imu1.x", "imu1.y", "imu1.z"),
+        start_s=0.0,
+        end_s=119.98,
+        one_source=True,
+    )
+    made = analysis(findings=(found,), verdict="failed")
+    assert finding_sentence(found, made).startswith(
+        "imu1.x, imu1.y and imu1.z read as if mounted otherwise throughout"
+    )
+    both = (found, bias(("imu2.x",)))
+    assert "imu1.x, imu1.y and imu1.z failed (mounting)" in verdict_sentence(
+        analysis(findings=both, verdict="failed")
+    )
+
+
+def test_the_part_that_was_asked_for_is_a_fact_of_the_report() -> None:
+    facts = {f.label: f.value for f in report(analysis(part=Part(start_s=30.0, armed=True))).facts}
+    assert "(from 30 s while armed)" in facts["Analysed"]
+
+
+def test_the_autopilot_is_quoted_in_text_and_markdown() -> None:
+    quote = AutopilotNote(
+        source="IMU[1]", gyro="imu1", what="flagged unhealthy", start_s=1.0, end_s=2.5
+    )
+    made = analysis(autopilot=(quote,) * 5)
+    said = made.to_text()
+    assert said.count("The autopilot: imu1 flagged unhealthy, from 1.0 s to 2.5 s (IMU[1]).") == 3
+    assert "The autopilot: 2 more; see the report." in said
+    assert made.to_markdown().count("| imu1 | flagged unhealthy |") == 5
+    assert "autopilot" not in analysis().to_text()
