@@ -89,7 +89,8 @@ def load(file: int, place: ChunkPlace, topics: tuple[tuple[int, ...], ...]) -> C
         return Chunk(place, failure=(error.strerror or str(error)).lower())
     batches = None
     damage = _index_damage(raw, place, head)
-    if damage < 0 and topics:
+    # Without a checksum only a walk through all records shows whether they still lie end to end.
+    if damage < 0 and topics and head.crc:
         batches = _indexed(records, raw, place, topics)
         damage = place.start + place.length if batches is None else damage
     return Chunk(place, head, records, batches, index_damage=damage)

@@ -52,10 +52,8 @@ class Messages:
         for number, count in self._counts.items():
             if number in self._topic_of:
                 self._topic_of[number].count += count
-        if self.passed_over:
-            what = (
-                f"{self.passed_over} chunks hold no gyro and were not read, so not checked either"
-            )
+        if self.passed_over and self._wanted:
+            what = f"{self.passed_over} chunks without a gyro were not read, so not checked either"
             self.contents.problems.append(Problem(what=what, note=True))
         self._check_counts()
         self._check_data()

@@ -83,6 +83,7 @@ class _Bag:
         self.data = data
         self.problems: list[Problem] = []
         self.places: dict[int, Place] = {}
+        self.passed_over = 0
         self.messages = Messages(topics, self.problems)
         self.end = data.size
         self._read_index()
@@ -92,6 +93,9 @@ class _Bag:
             self._take(piece)
         if self.messages.finish():
             what = "this format has no checksums: damage inside messages cannot be seen"
+            self.problems.append(Problem(what=what, note=True))
+        if self.passed_over and self.messages.wanted:
+            what = f"{self.passed_over} chunks without a gyro were not read, so not checked either"
             self.problems.append(Problem(what=what, note=True))
 
     def _record(self, at: int) -> Record:
@@ -160,7 +164,7 @@ class _Bag:
             if place := self.places.get(at):
                 wanted = self.messages.wanted
                 if wanted & place.counts.keys():
-                    yield partial(load, self.data, at, place.end, place, wanted)
+                    yield partial(load, self.data, at, place.end, place)
                 else:
                     yield partial(Piece, at, place.end - at, place)
                 at = place.end
@@ -186,7 +190,7 @@ class _Bag:
             end = self.data.size  # its lengths would have been filled in when it was full
         if end == record.data_at:
             return end, None
-        return end, partial(load, self.data, at, end, None, self.messages.wanted)
+        return end, partial(load, self.data, at, end, None)
 
     def _end_of_loose(self, at: int) -> int:
         """Step over messages that stand in no finished chunk."""
@@ -249,9 +253,13 @@ class _Bag:
                 and self.messages.take_indexed(piece.records, piece.indexes, place.counts)
             )
             if not indexed:
-                self.messages.take_records(piece.records, piece.start)
+                self.messages.take_records(piece.records, piece.start, piece.plain_at)
+                if piece.head is not None and piece.has_false_index:
+                    at = piece.start + piece.head.data_at + piece.head.data_length
+                    self._index_damaged(piece, at)
         elif piece.head is None and not piece.failure:
             if place is not None:
+                self.passed_over += 1
                 self.messages.count(place.counts)
             else:
                 self._take_windows(piece, self._loose(piece))
@@ -259,6 +267,8 @@ class _Bag:
             self._take_windows(piece, chunks.windows(self.data.file, piece.start, piece.head))
         if piece.failure:
             self._damaged(piece, piece.failure)
+        if piece.index_damage >= 0:
+            self._index_damaged(piece, piece.index_damage)
 
     def _damaged(self, piece: Piece, why: str) -> None:
         whole = piece.records is None
@@ -270,18 +280,25 @@ class _Bag:
         )
         self.problems.append(problem)
 
+    def _index_damaged(self, piece: Piece, at: int) -> None:
+        what = "message indexes are damaged; the messages were read one by one"
+        lost = max(0, piece.start + piece.length - at)
+        self.problems.append(Problem(what=what, offset=at, bytes_lost=lost))
+
     def _take_windows(self, piece: Piece, windows: Iterator[Bytes]) -> None:
         rest = np.empty(0, np.uint8)
+        at = piece.start if piece.head is None else piece.plain_at
         try:
             for window in windows:
                 records = np.concatenate([rest, window])
-                left = self.messages.take_records(records, piece.start, final=False)
+                left = self.messages.take_records(records, piece.start, at, final=False)
+                at += 0 if at < 0 else len(records) - left
                 rest = records[len(records) - left :]
                 if len(rest) > chunks.LARGE_BYTES:
                     break
         except DamagedChunkError as error:
             self._damaged(piece, str(error))
-        self.messages.take_records(rest, piece.start)
+        self.messages.take_records(rest, piece.start, at)
 
     def _loose(self, piece: Piece) -> Iterator[Bytes]:
         end = piece.start + piece.length

@@ -59,6 +59,8 @@ class Piece:
         Its records; None if they are to be taken in windows, or are lost.
     failure
         What is wrong with it; what ``records`` there are may be used.
+    index_damage
+        Where in the file its message indexes are not what they should be, or -1. [byte]
     """
 
     start: int
@@ -68,6 +70,23 @@ class Piece:
     records: Bytes | None = None
     indexes: dict[int, NDArray[np.void]] = field(default_factory=dict)
     failure: str = ""
+    index_damage: int = -1
+
+    @property
+    def has_false_index(self) -> bool:
+        """Whether its indexes name a place twice, or one that is not there."""
+        for entries in self.indexes.values():
+            offsets = np.sort(entries["offset"].copy())
+            beyond = self.head is not None and bool((offsets >= self.head.size).any())
+            if beyond or (offsets[1:] == offsets[:-1]).any():
+                return True
+        return False
+
+    @property
+    def plain_at(self) -> int:
+        """Where in the file its records stand as they are, or -1. [byte]"""
+        plain = self.head is not None and not self.head.compression
+        return self.start + self.head.data_at if self.head and plain else -1
 
 
 def chunk_place(record: Record, content: bytes, end: int) -> Place:
@@ -87,10 +106,8 @@ def chunk_place(record: Record, content: bytes, end: int) -> Place:
     return Place(start, end, counts, max(0, last - first) / 1e9)
 
 
-def load(
-    data: FileBytes, start: int, end: int, place: Place | None, wanted: frozenset[int]
-) -> Piece:
-    """Read one chunk, and of its message indexes those of the wanted connections.
+def load(data: FileBytes, start: int, end: int, place: Place | None) -> Piece:
+    """Read one chunk, and the message indexes behind it.
 
     Parameters
     ----------
@@ -122,23 +139,28 @@ def load(
         usable = head.compression in {"", "bz2"}
         part = np.frombuffer(decompress_part(head.compression, content), np.uint8)
         return Piece(start, length, place, head, part if usable else None, failure=str(error))
-    indexes = _indexes(raw, record.end, wanted) if place else {}
-    return Piece(start, length, place, head, records, indexes)
+    indexes, damage = _indexes(raw, record.end, place) if place else ({}, -1)
+    damage = damage if damage < 0 else start + damage
+    return Piece(start, length, place, head, records, indexes, index_damage=damage)
 
 
-def _indexes(raw: memoryview, at: int, wanted: frozenset[int]) -> dict[int, NDArray[np.void]]:
-    """Read the message indexes of the wanted connections; none if something else stands there."""
+def _indexes(raw: memoryview, at: int, place: Place) -> tuple[dict[int, NDArray[np.void]], int]:
+    """Read the message indexes, and say where they cannot be believed; -1 if they can. [byte]"""
     found: dict[int, NDArray[np.void]] = {}
-    try:
-        while at < len(raw):
+    while at < len(raw):
+        try:
             record = parse_record(raw, at)
             connection = number(record.header, "conn")
-            entries = raw[record.data_at : record.end]
-            if record.opcode != INDEX or record.end > len(raw) or len(entries) % 12:
-                return {}
-            if connection in wanted:
-                found[connection] = np.frombuffer(bytes(entries), INDEX_ENTRY)
-            at = record.end
-    except DamagedRecordError:
-        return {}
-    return found
+        except DamagedRecordError:
+            return {}, at
+        if record.opcode != INDEX:
+            return {}, -1
+        content = raw[record.data_at : record.end]
+        if record.end > len(raw) or len(content) % INDEX_ENTRY.itemsize:
+            return {}, at
+        entries = np.frombuffer(bytes(content), INDEX_ENTRY)
+        if len(entries) != place.counts.get(connection):
+            return {}, at
+        found[connection] = entries
+        at = record.end
+    return found, -1 if found.keys() == place.counts.keys() else at

@@ -15,6 +15,7 @@ from fdilog_readers.message_reading import open_topic
 from fdilog_readers.rosbag1_records import (
     CONNECTION,
     MESSAGE,
+    CutRecordError,
     DamagedRecordError,
     Header,
     Heads,
@@ -93,6 +94,8 @@ class Messages:
         connections = self.wanted & counts.keys()
         if any(len(indexes.get(c, ())) != counts[c] for c in connections):
             return False
+        if not self._lie_end_to_end(records, indexes):
+            return False
         found: list[tuple[Topic, list[Timed]]] = []
         for topic in {self._topic_of[c] for c in connections}:
             own = [c for c in connections if self._topic_of[c] is topic]
@@ -108,6 +111,36 @@ class Messages:
                 topic.add(batch, times_ns)
         self.count(counts)
         return True
+
+    def _lie_end_to_end(self, records: Bytes, indexes: Mapping[int, NDArray[np.void]]) -> bool:
+        """Tell whether all that the indexes name are messages, with but connections in between.
+
+        Without checksums this alone shows damage to messages that are not looked at.
+        """
+        found = [entries["offset"].astype(np.int64) for entries in indexes.values() if len(entries)]
+        offsets = np.sort(np.concatenate(found)) if found else np.empty(0, np.int64)
+        shape = self._shape_at(records, int(offsets[0])) if len(offsets) else None
+        if shape is None or offsets[-1] > len(records) - shape.lead:
+            return False
+        if not shape.begins_at(records, offsets).all():
+            return False
+        ends = np.concatenate([[0], offsets + shape.lead + shape.lengths_at(records, offsets)])
+        starts = np.append(offsets, len(records))
+        for k in np.flatnonzero(ends != starts):
+            if not self._are_connections(records, int(ends[k]), int(starts[k])):
+                return False
+        return True
+
+    def _are_connections(self, records: Bytes, at: int, end: int) -> bool:
+        try:
+            while at < end:
+                record = parse_record(records.data, at)
+                if record.opcode != CONNECTION:
+                    return False
+                at = record.end
+        except DamagedRecordError:
+            return False
+        return at == end
 
     def _at_entries(
         self, records: Bytes, entries: NDArray[np.void], own: list[int]
@@ -151,13 +184,17 @@ class Messages:
         self._shapes = [shape, *self._shapes[: MOST_SHAPES - 1]]
         return shape
 
-    def take_records(self, records: Bytes, start: int, *, final: bool = True) -> int:
+    def take_records(
+        self, records: Bytes, start: int, plain_at: int = -1, *, final: bool = True
+    ) -> int:
         """Take records that lie end to end, and go on behind damage.
 
         Parameters
         ----------
         start
-            Where they come from in the file, for the list of problems. [byte]
+            Where the chunk begins that they come from, for the list of problems. [byte]
+        plain_at
+            Where they stand in the file as they are, or -1. [byte]
         final
             Whether nothing follows them.
 
@@ -179,7 +216,8 @@ class Messages:
                     break
                 found = len(records)
             what = "damaged messages"
-            self.problems.append(Problem(what=what, offset=start, bytes_lost=found - at))
+            offset = start if plain_at < 0 else plain_at + at
+            self.problems.append(Problem(what=what, offset=offset, bytes_lost=found - at))
             at = found
         return len(records) - at
 
@@ -200,6 +238,9 @@ class Messages:
         if shape not in chains:
             chains[shape] = shape.chain(records)
         offsets, end = chains[shape].follow(at)
+        if len(offsets) and not _may_begin(records, end):
+            # The damage may have begun inside the last message; nothing else would show it.
+            offsets, end = offsets[:-1], int(offsets[-1])
         self._sort(records, offsets, shape)
         return end
 
@@ -215,6 +256,17 @@ class Messages:
                 part = heads.select(here)
                 for times_ns, batch in _batches(records, offsets[here], part, shape):
                     topic.add(batch, times_ns)
+
+
+def _may_begin(records: Bytes, at: int) -> bool:
+    """Whether a record begins here, or what is left may be the beginning of one."""
+    try:
+        parse_record(records.data, at)
+    except CutRecordError:
+        return True
+    except DamagedRecordError:
+        return False
+    return True
 
 
 def _heads(records: Bytes, offsets: Offsets, shape: MessageShape) -> Bytes:

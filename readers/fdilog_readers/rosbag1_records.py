@@ -44,6 +44,10 @@ class DamagedRecordError(Exception):
     """A record's own lengths contradict each other, or a field is missing; the text says which."""
 
 
+class CutRecordError(DamagedRecordError):
+    """What there is may be the beginning of a record."""
+
+
 @dataclass(frozen=True)
 class Record:
     """One record: its header, and where its data lies in what it was read from. [byte]"""
@@ -93,13 +97,13 @@ def parse_record(raw: bytes | memoryview, at: int = 0) -> Record:
         If no record begins here.
     """
     if at + U32.size > len(raw):
-        raise DamagedRecordError("the record is cut")
+        raise CutRecordError("the record is cut")
     (length,) = U32.unpack_from(raw, at)
     if length > LARGEST_HEADER:
         raise DamagedRecordError("a header has an impossible length")
     data_at = at + U32.size + length + U32.size
     if data_at > len(raw):
-        raise DamagedRecordError("the record is cut")
+        raise CutRecordError("the record is cut")
     header = parse_header(raw[at + U32.size : data_at - U32.size])
     opcode = header.get("op", b"")
     if len(opcode) != 1 or opcode[0] not in FIELDS:
@@ -227,6 +231,16 @@ class MessageShape:
         fields = np.ndarray(len(rows), self._head, rows, 0, rows.strides[:1])
         lengths = fields["length"].copy().astype(np.int64)
         return Heads(fields["conn"].copy(), times_in(fields), lengths)
+
+    def begins_at(self, buffer: Bytes, offsets: Offsets) -> NDArray[np.bool_]:
+        """Tell at which offsets a header begins as such a one does; each must fit in the buffer."""
+        words = np.ndarray((len(buffer) - 7,), np.uint64, buffer, 0, (1,))
+        return np.asarray(words[offsets] == self._parts[0][2])
+
+    def lengths_at(self, buffer: Bytes, offsets: Offsets) -> NDArray[np.int64]:
+        """Read the lengths of the messages whose headers begin at the offsets. [byte]"""
+        lengths = np.ndarray((len(buffer) - 3,), np.uint32, buffer, 0, (1,))
+        return lengths[offsets + (self.lead - 4)].astype(np.int64)
 
     def matches(self, raw: bytes | memoryview) -> bool:
         """Tell whether a record begins with such a header."""
