@@ -154,7 +154,7 @@ class _Bag:
         starts = [number(record.header, "chunk_pos") for record, _ in found]
         return [
             chunk_place(record, content, end)
-            for (record, content), end in zip(found, [*starts[1:], position], strict=True)
+            for (record, content), end in zip(found, [*starts, position][1:], strict=True)
         ], connections
 
     def _pieces(self) -> Iterator[Callable[[], Piece]]:
