@@ -146,6 +146,9 @@ def analyse(
     formats: Annotated[
         str, typer.Option("--format", metavar="html,md,json", help="Which reports; all with -o.")
     ] = "",
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Pictures beside the Markdown, in NAME_files.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="JSON on standard output, one object a line.")
     ] = False,
@@ -177,7 +180,7 @@ def analyse(
     """
     settings = _settings(config, geometry, detectors, tolerance)
     part = _part(from_s, to_s, armed=armed)
-    names = _report_names(formats, output)
+    names = _report_names(formats, output, pictures=pictures)
     taken: set[str] = set()
     codes = []
     for number, log in enumerate(logs, start=1):
@@ -200,7 +203,7 @@ def analyse(
         else:
             _show(analysis, first=not codes)
         if output is not None:
-            for path in _write_reports(analysis, log, output, names, taken):
+            for path in _write_reports(analysis, log, output, names, taken, pictures=pictures):
                 if not quiet:
                     _note(f"wrote {path}")
         codes.append(_exit_code(analysis))
@@ -269,7 +272,7 @@ def _part(from_s: float | None, to_s: float | None, *, armed: bool) -> Part:
     return Part(start_s=start, end_s=end, armed=armed)
 
 
-def _report_names(formats: str, output: Path | None) -> list[str]:
+def _report_names(formats: str, output: Path | None, *, pictures: bool = False) -> list[str]:
     from fdilog.registry import plugin
 
     if formats and output is None:
@@ -277,11 +280,19 @@ def _report_names(formats: str, output: Path | None) -> list[str]:
     names = _names(formats) or ["html", "md", "json"]
     for name in names:
         plugin("reports", name)
+    if pictures and (output is None or "md" not in names):
+        raise UsageError("--pictures are those of the Markdown report: add -o DIR and its format")
     return names
 
 
 def _write_reports(
-    analysis: Analysis, log: Path, folder: Path, names: list[str], taken: set[str]
+    analysis: Analysis,
+    log: Path,
+    folder: Path,
+    names: list[str],
+    taken: set[str],
+    *,
+    pictures: bool,
 ) -> Iterator[Path]:
     """Write one file per format, named after the log; two logs of one name get a number."""
     from fdilog.registry import plugin
@@ -298,7 +309,15 @@ def _write_reports(
         for name in names:
             report = plugin("reports", name)
             path = folder / f"{unique}{report.suffix}"
-            path.write_text(report.render(analysis), encoding="utf-8", newline="\n")
+            if pictures and hasattr(report, "render_illustrated"):
+                beside = folder / f"{unique}_files"
+                text, drawn = report.render_illustrated(analysis, beside.name)
+                beside.mkdir(exist_ok=True)
+                for file, picture in drawn.items():
+                    (beside / file).write_text(picture, encoding="utf-8", newline="\n")
+            else:
+                text = report.render(analysis)
+            path.write_text(text, encoding="utf-8", newline="\n")
             yield path
     except OSError as error:
         reason = (error.strerror or str(error)).lower()

@@ -139,6 +139,20 @@ def test_reports_are_written_for_every_log_even_of_one_name(
     )
 
 
+def test_pictures_stand_beside_the_markdown_and_are_linked_in_it(
+    sample_logs: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "my flight.bin"
+    log.write_bytes((sample_logs / "stuck.bin").read_bytes())
+    out = tmp_path / "out"
+    assert fdilog("analyse", log, "-o", out, "--format", "md", "--pictures").returncode == 1
+    assert sorted(path.name for path in out.iterdir()) == ["my flight.md", "my flight_files"]
+    text = (out / "my flight.md").read_text(encoding="utf-8")
+    for picture in (out / "my flight_files").iterdir():
+        assert f"](my%20flight_files/{picture.name})" in text
+    assert "fdilog: --pictures" in one_line(fdilog("analyse", log, "--pictures").stderr)
+
+
 def test_what_export_writes_analyse_reads(sample_logs: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     assert fdilog("export", sample_logs / "three_imus_bias.bin", "-o", table).returncode == 0

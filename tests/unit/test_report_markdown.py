@@ -5,13 +5,17 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 
 from fdilog.analysis import Analysis
 from fdilog.recording import Problem
 from fdilog_reports import markdown
+from fdilog_reports.pictures import pictures
 from fdilog_reports.template import code_block, markdown_text
 from tests.reports_factory import analysis, failed_analysis, pair_analysis, table
 
@@ -61,7 +65,7 @@ def test_findings_are_a_table_with_interval_and_tolerance() -> None:
     assert finding["Suspects"] == "imu1.y"
     assert finding["Interval"] == "1.7 to 2.3 deg/s (99.9 %)"
     assert finding["Tolerance"] == "±1 deg/s"
-    assert finding["Agree"] == "difference, guaranteed and parity"
+    assert "- Agree: 3: difference, guaranteed and parity" in markdown.render(failed_analysis())
 
 
 def test_every_table_has_as_many_cells_in_each_row() -> None:
@@ -118,6 +122,59 @@ def test_a_fence_is_longer_than_any_run_of_backticks_within() -> None:
 def test_a_name_with_underscores_stays_readable() -> None:
     assert markdown_text("sensor_gyro_0") == "sensor_gyro_0"
     assert markdown_text("_em_") == r"\_em\_"
+
+
+def test_suspects_that_cannot_be_told_apart_have_a_size_without_sign() -> None:
+    cells = rows(markdown.render(pair_analysis()))
+    finding = next(row for row in cells if row[:1] == ["1"])
+    assert finding[2] == "imu0.x or imu1.x"
+    assert finding[4:6] == ["3.0 deg/s", "2.7 to 3.3 deg/s (99.9 %)"]
+
+
+def test_pictures_are_linked_and_without_them_nothing_is() -> None:
+    text, drawn = markdown.render_illustrated(pair_analysis(), "a (1) <b>_files")
+    images = [
+        child for token in rendered(text) for child in token.children or () if child.type == "image"
+    ]
+    assert [unquote(image.attrs["src"]) for image in images] == [
+        f"a (1) <b>_files/{name}" for name in drawn
+    ]
+    assert list(drawn) == ["timeline.svg", "residuals.svg"]
+    assert "image" not in inline_types(markdown.render(pair_analysis()))
+
+
+@pytest.mark.parametrize("made", [failed_analysis(), pair_analysis(), analysis()])
+def test_pictures_are_xml_that_needs_nothing_else(made: Analysis) -> None:
+    channels = tuple(
+        dataclasses.replace(channel, name=f'<script>\x00&"{channel.name}')
+        for channel in made.table.channels
+    )
+    made = dataclasses.replace(made, table=dataclasses.replace(made.table, channels=channels))
+    for name, text in pictures(made).items():
+        root = ET.fromstring(text)  # noqa: S314  our own
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        tags = {element.tag.partition("}")[2] for element in root.iter()}
+        assert not tags & {"script", "image", "foreignObject", "a", "use"}, name
+        assert '<script>\\x00&"imu1.y' in "".join(root.itertext())
+        assert len(text) < 300_000
+
+
+def test_the_timeline_picture_shows_the_finding_where_it_is() -> None:
+    root = ET.fromstring(pictures(failed_analysis())["timeline.svg"])  # noqa: S314
+    failed = [
+        element
+        for element in root.iter()
+        if element.get("class") == "state-failed" and list(element)
+    ]
+    assert len(failed) == 1
+    left, width = (float(failed[0].get(key, "nan")) for key in ("x", "width"))
+    assert left == pytest.approx(1000 * 40.1 / 119.98, abs=0.1)
+    assert width == pytest.approx(1000 * 20.1 / 119.98, abs=0.1)
+
+
+def test_without_channels_there_is_no_picture() -> None:
+    empty = table().only(np.zeros(len(table().time_s), bool))
+    assert pictures(analysis(empty, evidence=())) == {}
 
 
 def test_an_empty_analysis_is_a_report_too() -> None:
