@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 
 from fdilog.campaign.discovery import Candidate, discover
 from fdilog.campaign.execution import Lost, run
+from fdilog.campaign.following import follow_logs
 from fdilog.campaign.identity import vehicle_of
 from fdilog.campaign.lanes import Lane, WorkerLane, machine_memory_bytes
 from fdilog.campaign.store import Store, result_id
@@ -30,9 +30,6 @@ TIMEOUT_S = 600.0
 """The largest logs are read within a minute; ten leave room for a slow disk."""
 MEMORY_SHARE = 0.8
 """Of the machine's memory, divided among the workers; the rest is the parent's and the system's."""
-POLL_S = 1.0
-SETTLED_S = 2.0
-"""A log that has not changed for so long is taken to be complete."""
 LONGEST_STEM = 60
 
 
@@ -140,54 +137,13 @@ def audit(
             store.list_only(candidates)
             work.do(candidates)
         else:
-            _follow(work, targets, follow)
+            follow_logs(
+                targets, store, work.do, lambda: write_reports(store, settings.config), follow
+            )
         store.finish()
         return write_reports(store, settings.config)
     finally:
         store.close()
-
-
-def _follow(work: _Work, targets: Sequence[str], go_on: Callable[[], bool]) -> None:
-    """Do every log once it has stopped growing, for as long as is asked."""
-    seen: dict[str, tuple[int, str, float]] = {}
-    done: dict[str, tuple[int, str]] = {}
-    work.store.list_only([])
-    first = True
-    while go_on():
-        now = time.monotonic()
-        ready = []
-        for candidate in _found_now(targets, work.store.folder):
-            state = (candidate.size, candidate.stamp)
-            if done.get(candidate.path) == state:
-                continue
-            if seen.get(candidate.path, ())[:2] != state:
-                seen[candidate.path] = (*state, now)
-            if candidate.error or _settled(candidate, now - seen[candidate.path][2]):
-                ready.append(candidate)
-                done[candidate.path] = state
-        if ready or first:
-            work.store.list_more(ready)
-            work.do(ready)
-            write_reports(work.store, work.settings.config)
-            first = False
-        time.sleep(POLL_S)
-
-
-def _found_now(targets: Sequence[str], output: Path) -> list[Candidate]:
-    """Find what there is at this moment; nothing while a disk or a network is away."""
-    try:
-        return discover(targets, output)
-    except FdilogError:
-        return []
-
-
-def _settled(candidate: Candidate, unchanged_s: float) -> bool:
-    """Tell a log that is complete from one that is still being copied."""
-    if unchanged_s >= SETTLED_S:
-        return True
-    if candidate.remote and candidate.stamp:
-        return True  # a store that tells a tag or a time shows what is complete, and nothing else
-    return time.time() - int(candidate.stamp) / 1e9 >= SETTLED_S + POLL_S
 
 
 class _Work:

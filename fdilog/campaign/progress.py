@@ -38,10 +38,11 @@ class LineProgress:
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
 
-    def begin(self, logs: int, reused: int) -> None:
+    def begin(self, logs: int, reused: int, where: str) -> None:
         """Start a batch."""
         self._logs, self._done, self._since = logs, 0, time.monotonic()
-        self._say(f"{logs} logs to analyse, {reused} known from before")
+        told = f"{logs} log{'s' * (logs != 1)} to analyse, {reused} known from before"
+        self._say(f"{told}; {where}" if logs else told)
 
     def done(self, path: str, state: str, words: str) -> None:
         """Print one log's line, with the rate so far and what remains."""
@@ -77,8 +78,10 @@ class BarProgress:
         )
         self._task: Any = None
 
-    def begin(self, logs: int, reused: int) -> None:
+    def begin(self, logs: int, reused: int, where: str) -> None:
         """Start a batch."""
+        if logs:
+            self.shown.console.print(f"{logs} log{'s' * (logs != 1)} to analyse; {where}")
         self._counts: Counter[str] = Counter()
         if reused:
             self._counts["known from before"] = reused

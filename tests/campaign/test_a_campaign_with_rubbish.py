@@ -143,6 +143,7 @@ def test_a_pipe_gets_one_line_a_log(audited: Audited) -> None:
     unreachable = 4 + 1  # those never reach a worker: gone, itself, x.mcap, pipe; and no line
     (logs,) = query(audited.output, "SELECT count(*) FROM logs")[0]
     assert len(lines) == logs - unreachable + 1
+    assert f"; 2 workers of at most {MEMORY_GB} GB" in audited.stderr.splitlines()[0]
     assert "Traceback" not in audited.stderr
 
 
