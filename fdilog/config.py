@@ -71,7 +71,9 @@ class Tolerance:
     noise_factor: float = _key(3.0, "noise amplitude relative to the other gyros on the same axis")
     scale: float = _key(0.05, "scale factor error; data sheets promise 1 to 3 %")
     impulse_deg_s: float = _key(
-        20.0, "a single sample this far off; airframe vibration stays below"
+        10.0,
+        "a single reading this far from what its neighbours and the other gyros tell; vibration of"
+        " recorded flights leaves less, save for the noisiest",
     )
     dropout_s: float = _key(0.5, "one source silent for longer while others go on")
 

@@ -27,7 +27,7 @@ _WORDS: dict[Kind, str] = {
 
 def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
     """Turn evidence of excess noise into findings, their edges those of the noise itself."""
-    from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
+    from fdilog.prediction import DEVIATION_GAIN, deviations
 
     said = [accusation for item in evidence for accusation in accusations(item)]
     if not said:

@@ -14,9 +14,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.detectors.impulse import DEVIATION_GAIN, deviations
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
+from fdilog.prediction import DEVIATION_GAIN, deviations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.windows import Survey

@@ -1,7 +1,8 @@
-"""Single readings far off from their neighbours, which no other gyro confirms.
+"""Single readings far off from what was to be expected, which no other gyro confirms.
 
-A channel accuses itself here. A shock of the airframe is felt along every axis and by every
-source, a character lost on a serial line by one channel alone.
+A channel accuses itself here. What was to be expected follows from its neighbours and from the
+other gyros of its axis (`fdilog.prediction`). A shock of the airframe is felt along every axis and
+by every source, a character lost on a serial line by one channel alone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.config import Config
 from fdilog.finding import Evidence
+from fdilog.prediction import deviations, innovations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
@@ -20,23 +23,35 @@ from fdilog.windows import Survey, spans
 
 Floats = NDArray[np.float64]
 
-# The level of the neighbourhood is that which 97 % of the readings within 5 s stay below: an
-# impulse touches three of them, so that two impulses a neighbourhood do not hide each other.
-NEIGHBOURHOOD_S = 5.0
-LEVEL = 0.97
-# How far above that level an impulse stands. Vibration has heavy tails; landings, take-offs and
-# turns reach 5 times the level on recorded flights, but there every source confirms them.
-TIMES_LEVEL = 5.0
-# A deviation counts as confirmed by another channel that shows this part of it at that instant.
+# The level of the neighbourhood is that which 95 % of the readings within 2 s stay below: an
+# impulse touches three of them, so that two impulses a neighbourhood do not hide each other, if it
+# holds 120 readings. It is as short as that because vibration swells and dies within seconds.
+NEIGHBOURHOOD_S = 2.0
+LEVEL = 0.95
+FEWEST_AROUND = 120
+# The level of normal readings, in sigmas; where tails are heavy it is more.
+NORMAL_LEVEL = 1.96
+# How far above that level an impulse stands follows from the tail that the flight itself shows: the
+# excess of unconfirmed peaks over the level, in levels, is taken for exponential (peaks over
+# threshold), and its decay is read off where nine in ten of them are passed, so that impulses do
+# not stretch it. Recorded flights show 0.15 to 0.6 levels; too few peaks are taken for middling.
+PEAKS_PASSED = 0.9
+FEWEST_PEAKS = 20
+MIDDLING_DECAY = 0.3
+SECONDS_PER_HOUR = 3600.0
+# A peak counts as confirmed by another channel of the axis that is off by this part of it too, the
+# peak itself left out of what is expected there; and by any channel of another source that stands
+# out this far above its own level, which vibration alone does once in a thousand readings.
 CONFIRMED = 0.3
-# Both neighbours of an impulse are back where the rate was: they differ by less than this part of
-# it. At a step, where a bias begins or ends, they differ by twice the deviation.
+CONFIRMING_LEVELS = 3.0
+# Around an impulse the channel is where the others are: the means over two readings before and
+# after differ by less than this part of it. At a step, where a bias begins or ends, by all of it.
 RETURNED = 0.5
+RETURNING_READINGS = 2
 # Without a second gyro on the axis only the other axes of the source can confirm a shock, and some
-# shocks turn the airframe about one axis alone; so three times the tolerance is asked.
-ALONE_FACTOR = 3.0
-# The deviation of white noise from the mean of two neighbours, (1 + 1/4 + 1/4)^(1/2).
-DEVIATION_GAIN = np.sqrt(1.5)
+# shocks turn the airframe about one axis alone: landings of recorded flights reach 58 deg/s, six
+# times the tolerance.
+ALONE_FACTOR = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,95 +66,221 @@ class ImpulseDetector:
         table, config = survey.table, survey.config
         limit = float(np.radians(config.tolerance.impulse_deg_s))
         deviation = deviations(table)
-        found: list[tuple[int, int, float]] = []
-        for channel in range(len(table.channels)):
-            found += [
-                (sample, channel, level)
-                for sample, level in _impulses(table, deviation, channel, limit)
-            ]
+        axes = {tuple(_group(table, channel)) for channel in range(len(table.channels))}
+        found = [
+            impulse
+            for channels in sorted(axes)
+            for axis in (_Axis.of(table, deviation, np.array(channels)),)
+            for place in range(len(channels))
+            for impulse in _impulses(table, axis, place, config)
+        ]
         if not found:
             return []
-        return [_evidence(table, deviation, found, limit, config.windows.confidence)]
+        return [_evidence(table, found, limit, config.windows.confidence)]
 
 
-def deviations(table: ChannelTable) -> Floats:
-    """Deviation of every reading from the mean of its two neighbours.
+@dataclass(frozen=True, kw_only=True)
+class _Impulse:
+    """A sample of a channel that stands out: by how much, and the level around it. [rad/s]"""
 
-    Returns
-    -------
+    channel: int
+    sample: int
+    size: float
+    level: float
+
+
+def _group(table: ChannelTable, channel: int) -> list[int]:
+    """List a channel and those along its axis that belong to other sources."""
+    source = table.channels[channel].source
+    along = np.flatnonzero(table.along(channel)).tolist()
+    return sorted([channel, *(k for k in along if table.channels[k].source != source)])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Axis:
+    """What the gyros of an axis show, one column each.
+
+    Parameters
+    ----------
+    channels : (k,)
+        Columns of the table.
     deviation : (n_samples, n_channels)
-        0 where a neighbour is missing, or further away than two and a half steps. [rad/s]
+        From the mean of two neighbours, of all channels. [rad/s]
+    off, level : (n_samples, k)
+        Deviation from what was to be expected, and the level of its modulus. [rad/s]
+    shaking : (n_samples, k)
+        Level of the modulus of the deviation from the mean of two neighbours. [rad/s]
+    weights : (k, k)
+        What part of the reading in the second goes into what is expected of the first. [1]
     """
-    deviation = np.zeros(table.rate_rad_s.shape)
-    for channel, described in enumerate(table.channels):
-        rows = np.flatnonzero(table.valid[:, channel])
-        if len(rows) < 3 or not described.rate_hz:
-            continue
-        values, time_s = table.rate_rad_s[rows, channel], table.time_s[rows]
-        step_s = np.diff(time_s)
-        near = np.maximum(step_s[1:], step_s[:-1]) < 2.5 / described.rate_hz
-        middle = values[1:-1] - (values[:-2] + values[2:]) / 2.0
-        deviation[rows[1:-1], channel] = np.where(near, middle, 0.0)
-    return deviation
+
+    channels: NDArray[np.int64]
+    deviation: Floats
+    off: Floats
+    level: Floats
+    shaking: Floats
+    weights: Floats
+
+    @classmethod
+    def of(cls, table: ChannelTable, deviation: Floats, channels: NDArray[np.int64]) -> _Axis:
+        """Predict each channel from the others."""
+        k = len(channels)
+        off, weights = np.zeros((len(deviation), k)), np.zeros((k, k))
+        level, shaking = np.zeros_like(off), np.zeros_like(off)
+        for place, channel in enumerate(channels.tolist()):
+            others = np.delete(np.arange(k), place)
+            off[:, place], weights[place, others] = innovations(
+                table, channel, channels[others], deviation[:, channel]
+            )
+            level[:, place] = _levels(table, channel, off[:, place])
+            shaking[:, place] = _levels(table, channel, deviation[:, channel])
+        return cls(
+            channels=channels,
+            deviation=deviation,
+            off=off,
+            level=level,
+            shaking=shaking,
+            weights=weights,
+        )
+
+    def without(self, place: int, samples: NDArray[np.int64]) -> Floats:
+        """Say what the others are off by if one is off at some samples, (n, k). [rad/s]"""
+        peak = self.off[samples, place]
+        left: Floats = self.off[samples] + peak[:, None] * self.weights[:, place]
+        left[:, place] = self.deviation[samples, self.channels[place]] - peak
+        return left
+
+    def strangeness(self, place: int, samples: NDArray[np.int64]) -> Floats:
+        """Say how strange the readings are if one is off at some samples, (n,). [1]"""
+        usual = self.level[samples]
+        usual[:, place] = self.shaking[samples, place]
+        left = self.without(place, samples)
+        strange: Floats = ((left / np.where(usual > 0.0, usual, np.inf)) ** 2).sum(axis=1)
+        return strange
 
 
-def _impulses(
-    table: ChannelTable, deviation: Floats, channel: int, limit: float
-) -> list[tuple[int, float]]:
-    """List the samples of one channel that stand out alone, each with the level around it."""
-    rows = np.flatnonzero(table.valid[:, channel])
-    size = np.abs(deviation[rows, channel])
-    high = np.flatnonzero(size > limit)
-    if not len(high):
+def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> list[_Impulse]:
+    """List the samples of one channel that stand out alone."""
+    channel = int(axis.channels[place])
+    alone = len(axis.channels) == 1
+    limit = float(np.radians(config.tolerance.impulse_deg_s)) * (ALONE_FACTOR if alone else 1.0)
+    off, level = axis.off[:, place], axis.level[:, place]
+    size = np.abs(off)
+    if not len(size) or size.max() <= limit:
         return []
-    along = table.along(channel)
-    of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
-    others = along & ~of_source
-    factor = 1.0 if others.any() else ALONE_FACTOR
-    others = others if others.any() else of_source
-    others[channel] = False
-    peak = size[high] >= np.maximum(size[high - 1], size[np.minimum(high + 1, len(size) - 1)])
+    peaks = np.flatnonzero(table.valid[:, channel] & (size > level))
+    peaks = peaks[~_confirmed(table, axis, place, peaks)]
+    least = _least_levels(size[peaks] / level[peaks], table, config) * level[peaks]
+    at = peaks[size[peaks] > np.maximum(limit, least)]
+    rows = np.flatnonzero(table.valid[:, channel])
+    here = np.searchsorted(rows, at)
     # Both neighbours are there: the deviation of the first and the last reading is zero.
-    at = high[peak & (size[high] >= factor * limit)]
-    readings = table.rate_rad_s[rows, channel]
-    at = at[np.abs(readings[at + 1] - readings[at - 1]) <= RETURNED * size[at]]
-    level = _levels(size, at, max(3, round(NEIGHBOURHOOD_S * table.channels[channel].rate_hz)))
-    stands_out = size[at] > TIMES_LEVEL * level
-    found = []
-    for sample, around in zip(at[stands_out].tolist(), level[stands_out].tolist(), strict=True):
-        here = slice(rows[sample - 1], rows[sample + 1] + 1)
-        if np.abs(deviation[here][:, others]).max(initial=0.0) < CONFIRMED * size[sample]:
-            found.append((int(rows[sample]), around))
-    return found
+    highest = size[at] >= np.maximum(size[rows[here - 1]], size[rows[here + 1]])
+    returned = _returned(table, axis, place, rows, here) <= RETURNED * size[at]
+    at = at[highest & returned]
+    # An impulse stands in what is expected of the others too, and who is off is the likeliest.
+    mine = axis.strangeness(place, at)
+    for other in range(len(axis.channels)):
+        if other != place:
+            mine = np.where(axis.strangeness(other, at) < mine, np.inf, mine)
+    return [
+        _Impulse(channel=channel, sample=int(k), size=float(off[k]), level=float(level[k]))
+        for k in at[np.isfinite(mine)]
+    ]
 
 
-def _levels(size: Floats, at: NDArray[np.int64], half: int) -> Floats:
-    """Level that `LEVEL` of the readings about some samples stay below, one a stretch of them."""
-    levels = np.zeros(len(at))
-    stretch = at // half
-    for number in np.unique(stretch).tolist():
-        around = size[max(0, (number - 1) * half) : (number + 2) * half]
-        levels[stretch == number] = np.quantile(around, LEVEL)
+def _confirmed(
+    table: ChannelTable, axis: _Axis, place: int, peaks: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell which peaks of a channel some other channel confirms."""
+    size = np.abs(axis.off[peaks, place])
+    left = np.abs(np.delete(axis.without(place, peaks), place, axis=1))
+    confirmed = np.asarray((left > CONFIRMED * size[:, None]).any(axis=1), bool)
+    source = table.channels[axis.channels[place]].source
+    for other, described in enumerate(table.channels):
+        if other in axis.channels.tolist():
+            continue
+        shown = np.abs(axis.deviation[:, other])
+        rows = np.flatnonzero(table.valid[:, other])
+        if not len(rows):
+            continue
+        here = np.searchsorted(rows, peaks)
+        beside = rows[np.clip(here[:, None] + np.array([-1, 0, 1]), 0, len(rows) - 1)]
+        most = shown[beside].max(axis=1)
+        if described.source != source:
+            confirmed |= most > CONFIRMING_LEVELS * _levels(table, other, shown)[beside[:, 1]]
+        elif len(axis.channels) == 1:
+            confirmed |= most > CONFIRMED * size
+    return confirmed
+
+
+def _least_levels(peaks: Floats, table: ChannelTable, config: Config) -> float:
+    """How many levels an impulse stands out at least, for chance alone to stay in the budget.
+
+    Parameters
+    ----------
+    peaks : (n_peaks,)
+        Peaks above the level that nobody confirms, in levels. [1]
+    """
+    decay = MIDDLING_DECAY
+    if len(peaks) >= FEWEST_PEAKS:
+        decay = float(np.quantile(peaks - 1.0, PEAKS_PASSED)) / -np.log(1.0 - PEAKS_PASSED)
+    per_hour = SECONDS_PER_HOUR / table.period_s * len(table.channels)
+    doubt = config.windows.false_findings_per_hour / per_hour
+    return 1.0 + decay * max(0.0, float(np.log((1.0 - LEVEL) / doubt)))
+
+
+def _returned(
+    table: ChannelTable,
+    axis: _Axis,
+    place: int,
+    rows: NDArray[np.int64],
+    at: NDArray[np.int64],
+) -> Floats:
+    """By how much a channel is off from its peers after some readings more than before. [rad/s]
+
+    Parameters
+    ----------
+    rows, at : (n_readings,), (n,)
+        Samples at which it was recorded, and which of them are asked about.
+    """
+    apart = table.rate_rad_s[rows, axis.channels[place]].copy()
+    beside = table.rate_rad_s[np.ix_(rows, np.delete(axis.channels, place))]
+    known = np.isfinite(beside)
+    apart -= np.where(known, beside, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    total = np.concatenate([[0.0], np.cumsum(apart)])
+    first = np.maximum(at - RETURNING_READINGS, 0)
+    last = np.minimum(at + 1 + RETURNING_READINGS, len(apart))
+    before = (total[at] - total[first]) / np.maximum(at - first, 1)
+    after = (total[last] - total[at + 1]) / np.maximum(last - at - 1, 1)
+    change: Floats = np.abs(after - before)
+    return change
+
+
+def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
+    """Level that `LEVEL` of the readings about each stay below, a third of them at a time."""
+    rows = np.flatnonzero(table.valid[:, channel])
+    size = np.abs(values[rows])
+    third = max(FEWEST_AROUND, round(NEIGHBOURHOOD_S * table.channels[channel].rate_hz)) // 3
+    levels = np.zeros(len(values))
+    for first in range(0, len(size), third):
+        around = size[max(0, first - third) : first + 2 * third]
+        levels[rows[first : first + third]] = np.quantile(around, LEVEL)
     return levels
 
 
 def _evidence(
-    table: ChannelTable,
-    deviation: Floats,
-    found: list[tuple[int, int, float]],
-    limit: float,
-    confidence: float,
+    table: ChannelTable, found: list[_Impulse], limit: float, confidence: float
 ) -> Evidence:
     shape = (len(found), len(table.channels))
     accused = np.zeros(shape, np.int8)
     low, high = np.full(shape, np.nan), np.full(shape, np.nan)
-    # The level is the 97 % point of a normal deviation, or beyond it where tails are heavy.
-    sigmas = float(student_quantile(np.array([np.inf]), confidence)[0]) / 2.17
-    for row, (sample, channel, level) in enumerate(found):
-        accused[row, channel] = 1
-        low[row, channel] = deviation[sample, channel] - sigmas * level
-        high[row, channel] = deviation[sample, channel] + sigmas * level
-    samples = np.array([sample for sample, _, _ in found])
+    sigmas = float(student_quantile(np.array([np.inf]), confidence)[0]) / NORMAL_LEVEL
+    for row, one in enumerate(found):
+        accused[row, one.channel] = 1
+        low[row, one.channel] = one.size - sigmas * one.level
+        high[row, one.channel] = one.size + sigmas * one.level
+    samples = np.array([one.sample for one in found])
     return Evidence(
         detector="impulse",
         kind="impulse",

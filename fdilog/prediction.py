@@ -1,0 +1,132 @@
+"""What a reading should have been, from its neighbours and from the gyros beside it.
+
+Vibration that slow logging folds down is far from smooth, and the mean of two neighbours says
+little of it. But every gyro on the airframe shakes with it, each a little more or less and a little
+earlier or later: a linear combination of what they read at three instants, and of the channel's own
+two neighbours, tells the reading many times better. Its coefficients are those of the flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.noise import robust_sigma
+from fdilog.table import ChannelTable
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+# The deviation of white noise from the mean of two neighbours, (1 + 1/4 + 1/4)^(1/2).
+DEVIATION_GAIN = np.sqrt(1.5)
+# Readings a coefficient: with ten of them, chance fits away a tenth of the variance.
+READINGS_A_COEFFICIENT = 10
+# Of more readings than these, evenly spaced ones are fitted: a dozen coefficients are known well.
+MOST_FITTED = 50_000
+# Huber's bend, in sigmas: least squares for normal noise, and a fault of a part of the flight pulls
+# with bounded weight (P. J. Huber, Robust Statistics, Wiley 1981, section 7.8).
+BEND = 2.0
+ROUNDS = 5
+
+
+def deviations(table: ChannelTable) -> Floats:
+    """Deviation of every reading from the mean of its two neighbours.
+
+    Returns
+    -------
+    deviation : (n_samples, n_channels)
+        0 where a neighbour is missing, or further away than two and a half steps. [rad/s]
+    """
+    deviation = np.zeros(table.rate_rad_s.shape)
+    for channel in range(len(table.channels)):
+        rows, near = _neighboured(table, channel)
+        if len(rows) < 3:
+            continue
+        values = table.rate_rad_s[rows, channel]
+        middle = values[1:-1] - (values[:-2] + values[2:]) / 2.0
+        deviation[rows[1:-1], channel] = np.where(near, middle, 0.0)
+    return deviation
+
+
+def _neighboured(table: ChannelTable, channel: int) -> tuple[Rows, NDArray[np.bool_]]:
+    """Rows at which a channel was recorded, and which of the inner ones have both neighbours."""
+    rows = np.flatnonzero(table.valid[:, channel])
+    rate_hz = table.channels[channel].rate_hz
+    if len(rows) < 3 or not rate_hz:
+        return rows[:0], np.zeros(0, bool)
+    step_s = np.diff(table.time_s[rows])
+    return rows, np.asarray(np.maximum(step_s[1:], step_s[:-1]) < 2.5 / rate_hz, bool)
+
+
+def innovations(
+    table: ChannelTable, channel: int, peers: NDArray[np.int64], deviation: Floats
+) -> tuple[Floats, Floats]:
+    """Tell what a channel reads that neither its neighbours nor its peers tell.
+
+    Parameters
+    ----------
+    peers : (n_peers,)
+        Columns that are asked, at the instant itself and at the two beside it.
+    deviation : (n_samples,)
+        That of the channel, as `deviations` gives it. [rad/s]
+
+    Returns
+    -------
+    innovation : (n_samples,)
+        Reading less prediction; the deviation where some peer was not recorded, or where there
+        are too few readings to fit. [rad/s]
+    weights : (n_peers,)
+        What part of each peer's reading at the same instant the prediction holds. [1]
+    """
+    rows, near = _neighboured(table, channel)
+    found = deviation.copy()
+    nothing: Floats = np.zeros(len(peers))
+    if not len(peers) or len(rows) < 3:
+        return found, nothing
+    told = near.copy()
+    for shift in range(3):
+        told &= table.valid[rows[shift : len(near) + shift]][:, peers].all(axis=1)
+    at = 1 + np.flatnonzero(told)
+    coefficients = 3 * len(peers) + 3
+    if len(at) < READINGS_A_COEFFICIENT * coefficients:
+        return found, nothing
+    few = at[:: 1 + len(at) // MOST_FITTED]
+    design = np.column_stack(list(_regressors(table, channel, peers, rows, few)))
+    weights = _fitted(design, table.rate_rad_s[rows[few], channel])
+    left = table.rate_rad_s[rows[at], channel].copy()
+    for weight, regressor in zip(
+        weights, _regressors(table, channel, peers, rows, at), strict=True
+    ):
+        left -= weight * regressor
+    found[rows[at]] = left
+    return found, weights[4::3]
+
+
+def _regressors(
+    table: ChannelTable, channel: int, peers: NDArray[np.int64], rows: Rows, at: Rows
+) -> Iterator[Floats]:
+    """One, the channel's own neighbours, and the peers before, at and after an instant."""
+    yield np.ones(len(at))
+    for shift in (-1, 1):
+        yield table.rate_rad_s[rows[at + shift], channel]
+    for peer in peers:
+        for shift in (-1, 0, 1):
+            yield table.rate_rad_s[rows[at + shift], peer]
+
+
+def _fitted(design: Floats, target: Floats) -> Floats:
+    """Huber's regression, by iteratively reweighted least squares."""
+    weight = np.ones(len(target))
+    found: Floats = np.zeros(design.shape[1])
+    for _ in range(ROUNDS):
+        normal = design.T @ (weight[:, None] * design)
+        # Two bit-identical peers share a coefficient: the solution of least norm.
+        found = np.linalg.pinv(normal, rcond=1e-12) @ (design.T @ (weight * target))
+        residual = target - design @ found
+        bend = BEND * float(robust_sigma(residual))
+        if bend == 0.0:
+            break
+        weight = bend / np.maximum(np.abs(residual), bend)
+    return found
