@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Problem
+from fdilog_readers.losses import PLACES_LISTED
 from fdilog_readers.message_batch import Batch, side_by_side
 from fdilog_readers.message_reading import open_topic
 from fdilog_readers.rosbag2_last_page import mend
+from fdilog_readers.rosbag2_pages import place_of_row
 from fdilog_readers.topics import Topic, Topics
 
 MAGIC = b"SQLite format 3\x00"
@@ -112,8 +114,11 @@ class _Messages:
         self.connection = connection
         self._query = ""
         self.problems = problems
+        self.path = path
         self.name = path.name
-        self._disordered = 0
+        # Number of the first row of each stretch that is damaged, and how many rows it has.
+        self._disordered: list[tuple[int, int]] = []
+        self._strange: list[tuple[int, int]] = []
         self._counts: Counter[int] = Counter()
         self._topic_of: dict[int, Topic] = {}
         definitions = self._definitions()
@@ -161,14 +166,25 @@ class _Messages:
                 if behind is None:
                     break
                 last = behind
-        if self._disordered:
-            what = f"{self.name} is damaged: {self._disordered} rows with impossible numbers"
-            self.problems.append(Problem(what=what))
         for number, topic in self._topic_of.items():
             topic.count += self._counts.pop(number, 0)
-        if strange := sum(self._counts.values()):
-            what = f"{strange} messages are of topics that are defined nowhere"
-            self.problems.append(Problem(what=what))
+        self._tell(f"rows of {self.name} have impossible numbers", self._disordered)
+        self._tell("messages are of topics that are defined nowhere", self._strange)
+
+    def _tell(self, what: str, stretches: list[tuple[int, int]]) -> None:
+        for row, count in stretches[:PLACES_LISTED]:
+            self.problems.append(Problem(what=f"{count} {what}", offset=self._place_of(row)))
+        if more := sum(count for _, count in stretches[PLACES_LISTED:]):
+            self.problems.append(Problem(what=f"{more} more {what}"))
+
+    def _place_of(self, row: int) -> int | None:
+        """Return where a row's page begins, as far as the file alone can tell. [byte]"""
+        try:
+            ((page_bytes,),) = self._rows("PRAGMA page_size")
+            ((root,),) = self._rows("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
+            return place_of_row(self.path, int(page_bytes), int(root), row)
+        except (sqlite3.Error, ValueError, UnreadableLogError):
+            return None
 
     def _take_one_by_one(self, last: int) -> int:
         """Take the messages before a damaged place; return the last one's number."""
@@ -189,11 +205,11 @@ class _Messages:
         if last == FIRST_ID:
             last = 0  # SQLite numbers from one
         good = self._first_readable(last)
-        lost = (
-            f"; {good - last - 1} messages are lost" if good is not None else ", and so is the rest"
-        )
-        self.problems.append(Problem(what=f"{self.name} is damaged ({error}){lost}"))
-        return None if good is None else good - 1
+        lost = f"; {good - last} messages are lost" if good is not None else ", and so is the rest"
+        what = f"{self.name} is damaged ({error}){lost}"
+        self.problems.append(Problem(what=what, offset=self._place_of(last + 1)))
+        # Rows fill a page from its end: damage may begin inside the first that can be read again.
+        return good
 
     def _first_readable(self, last: int) -> int | None:
         """Try ever longer strides, then the ones between; None if nothing more can be had."""
@@ -225,7 +241,9 @@ class _Messages:
         if ids[0] <= last or ids[-1] - ids[0] != len(ids) - 1:
             good = _in_order(np.array(ids, np.int64), last)
             if not good.all():
-                self._disordered += int(np.count_nonzero(~good))
+                before = int(ids[int(np.argmin(good)) - 1]) if good[0] else last
+                good[1:] &= good[:-1].copy()  # see `_step_over`
+                self._disordered.append((before + 1, int(np.count_nonzero(~good))))
                 rows = list(compress(rows, good.tolist()))
                 return self._take(rows, last) if rows else last
         topic_ids = _integers(numbers)
@@ -233,7 +251,9 @@ class _Messages:
             topic = self._topic_of.get(number)
             here = (topic_ids == number).tolist()
             self._counts[number] += sum(here)
-            if topic is not None and topic.wanted:
+            if topic is None:
+                self._strange.append((int(ids[here.index(True)]), sum(here)))
+            elif topic.wanted:
                 times_ns = np.array(list(compress(times, here)), np.int64)
                 self._add(topic, list(compress(messages, here)), times_ns)
         return int(ids[-1])
