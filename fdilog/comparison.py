@@ -2,13 +2,15 @@
 
 A size has changed if it lies outside the interval of the other; two intervals that hold each
 other's estimates say the same. What has no interval is compared with a limit that is named here.
+Of one log, findings are paired by time; of two flights, by kind, for their times have nothing to
+do with each other.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,6 +29,9 @@ SCALE = 0.01
 """Data sheets promise scale factors to 1 to 3 %."""
 BIAS_RAD_S = math.radians(0.3)
 """Consumer gyros hold 0.3 deg/s in flight."""
+
+SIGNED = {"bias", "drift", "impulse"}
+"""Kinds whose sign depends on which of several suspects it was."""
 
 What = Literal["appeared", "vanished", "changed"]
 
@@ -75,6 +80,8 @@ def load_result(path: Path) -> Result:
         raise UsageError(f"{path}: not a JSON result: not UTF-8") from None
     try:
         result = json.loads(text)
+    except RecursionError:
+        raise UsageError(f"{path}: not a JSON result: it is nested too deeply") from None
     except ValueError as error:
         several = " (it holds several results, one a line)" if "Extra data" in str(error) else ""
         raise UsageError(f"{path}: not a JSON result: {error}{several}") from None
@@ -101,42 +108,48 @@ def compare(before: Result, after: Result) -> Comparison:
         If a result lacks what its schema promises.
     """
     try:
+        one_log = before["log"].get("sha256") == after["log"].get("sha256")
         return Comparison(
             before=str(before["log"]["path"]),
             after=str(after["log"]["path"]),
-            notes=tuple(_notes(before, after)),
+            notes=tuple(_notes(before, after, one_log=one_log)),
             differences=(
-                *_single_values(before, after),
+                *_single_values(before, after, VERDICT),
+                *_findings(before, after, one_log=one_log),
                 *_channels(before, after),
+                *_single_values(before, after, COMPLETENESS),
                 *_calibrations(before, after),
-                *_findings(before, after),
             ),
         )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise UsageError(f"a result lacks what {SCHEMA} promises: {error!r}") from None
 
 
-def _notes(before: Result, after: Result) -> Iterator[str]:
-    if before["log"].get("sha256") != after["log"].get("sha256"):
-        yield "the two are about different logs"
+def _notes(before: Result, after: Result, *, one_log: bool) -> Iterator[str]:
+    if not one_log:
+        yield "the two are about different logs: findings are paired by kind and channel, not time"
     for key, what in (("fdilog_version", "versions of fdilog"), ("config_sha256", "settings")):
         if before.get(key) != after.get(key):
             yield f"they were made with different {what}"
 
 
-def _single_values(before: Result, after: Result) -> Iterator[Difference]:
+VERDICT = (("error", ("error",)), ("verdict", ("verdict",)))
+COMPLETENESS = (
+    ("completeness: whole", ("completeness", "whole")),
+    ("completeness: bytes lost", ("completeness", "bytes_lost")),
+    ("completeness: seconds lost", ("completeness", "seconds_lost")),
+)
+
+
+def _single_values(
+    before: Result, after: Result, wanted: Iterable[tuple[str, tuple[str, ...]]]
+) -> Iterator[Difference]:
     def value(result: Result, *keys: str) -> Any:
         for key in keys:
             result = result.get(key, {}) if isinstance(result, Mapping) else {}
         return None if result == {} else result
 
-    for of, keys in (
-        ("error", ("error",)),
-        ("verdict", ("verdict",)),
-        ("completeness: whole", ("completeness", "whole")),
-        ("completeness: bytes lost", ("completeness", "bytes_lost")),
-        ("completeness: seconds lost", ("completeness", "seconds_lost")),
-    ):
+    for of, keys in wanted:
         yield from _difference(of, _word(value(before, *keys)), _word(value(after, *keys)))
 
 
@@ -174,7 +187,7 @@ def _channels(before: Result, after: Result) -> Iterator[Difference]:
         if a is None or b is None:
             yield from _difference(of, *(str(one["status"]) if one else None for one in (a, b)))
             continue
-        yield from _difference(of, a["status"], b["status"])
+        yield from _difference(of, str(a["status"]), str(b["status"]))
         sigmas = a.get("sigma_rad_s"), b.get("sigma_rad_s")
         if _apart_by_factor(*sigmas):
             yield from _difference(f"{of}: noise", *(_rate(sigma) for sigma in sigmas))
@@ -196,7 +209,7 @@ def _calibrations(before: Result, after: Result) -> Iterator[Difference]:
         a, b = old.get(name), new.get(name)
         of = f"calibration of {name}"
         if a is None or b is None:
-            yield from _difference(of, *("given" if one else None for one in (a, b)))
+            yield from _difference(of, *("estimated" if one else None for one in (a, b)))
             continue
         for key, limit, degrees, unit in (
             ("rotation_deg", ROTATION_DEG, False, "deg"),
@@ -219,19 +232,19 @@ def _triple(values: list[float | None], unit: str, *, degrees: bool) -> str:
     return f"{', '.join(shown)} {unit}".rstrip()
 
 
-def _findings(before: Result, after: Result) -> Iterator[Difference]:
-    """Pair findings of one kind and a common suspect that overlap most; then those of any kind."""
+def _findings(before: Result, after: Result, *, one_log: bool) -> Iterator[Difference]:
+    """Pair findings that share a suspect, those of one kind first; what is left came or went."""
     old, new = list(before.get("findings", [])), list(after.get("findings", []))
-    for same_kind in (True, False):
+    for same_kind in (True, False) if one_log else (True,):
         pairs = [
-            (_shared_s(a, b), i, j)
+            (*_unlike(a, b, one_log=one_log), i, j)
             for i, a in enumerate(old)
             for j, b in enumerate(new)
-            if a and b and _same(a, b, same_kind=same_kind)
+            if a and b and _same(a, b, same_kind=same_kind, one_log=one_log)
         ]
-        for _, i, j in sorted(pairs, key=lambda pair: (-pair[0], *pair[1:])):
+        for *_, i, j in sorted(pairs):
             if old[i] and new[j]:
-                yield from _changes(old[i], new[j])
+                yield from _changes(old[i], new[j], one_log=one_log)
                 old[i] = new[j] = None
     for finding in filter(None, old):
         yield from _difference(_title(finding), _sentence(finding), None)
@@ -239,13 +252,22 @@ def _findings(before: Result, after: Result) -> Iterator[Difference]:
         yield from _difference(_title(finding), None, _sentence(finding))
 
 
+def _unlike(a: Result, b: Result, *, one_log: bool) -> tuple[float, float]:
+    """Rank a pair: of one log by the time they share, of two by suspects and size."""
+    if one_log:
+        return -_shared_s(a, b), 0.0
+    one, other = (finding["size"]["estimate"] if finding["size"] else None for finding in (a, b))
+    apart = math.inf if one is None or other is None else abs(one - other)
+    return -float(len(set(a["suspects"]) & set(b["suspects"]))), apart
+
+
 def _shared_s(a: Result, b: Result) -> float:
     return float(min(a["end_s"], b["end_s"]) - max(a["start_s"], b["start_s"]))
 
 
-def _same(a: Result, b: Result, *, same_kind: bool) -> bool:
+def _same(a: Result, b: Result, *, same_kind: bool, one_log: bool) -> bool:
     # Faults of a single reading have no length to share; neighbours within the limit are one.
-    near = _shared_s(a, b) >= -MOVED_S
+    near = not one_log or _shared_s(a, b) >= -MOVED_S
     return (
         near
         and bool(set(a["suspects"]) & set(b["suspects"]))
@@ -253,23 +275,39 @@ def _same(a: Result, b: Result, *, same_kind: bool) -> bool:
     )
 
 
-def _changes(a: Result, b: Result) -> Iterator[Difference]:
+def _changes(a: Result, b: Result, *, one_log: bool) -> Iterator[Difference]:
     title = _title(a)
-    yield from _difference(f"{title}: kind", a["kind"], b["kind"])
+    yield from _difference(f"{title}: kind", str(a["kind"]), str(b["kind"]))
     yield from _difference(
         f"{title}: suspects", ", ".join(sorted(a["suspects"])), ", ".join(sorted(b["suspects"]))
     )
-    for key, what in (("start_s", "start"), ("end_s", "end")):
+    for key, what in (("start_s", "start"), ("end_s", "end")) if one_log else ():
         if abs(a[key] - b[key]) > MOVED_S:
             yield from _difference(f"{title}: {what}", f"{a[key]:.3f} s", f"{b[key]:.3f} s")
-    if a["kind"] == b["kind"] and _beyond(a["size"], b["size"]):
-        yield from _difference(f"{title}: size", _size(a["size"]), _size(b["size"]))
+    if a["kind"] == b["kind"] and _beyond(a, b):
+        yield from _difference(f"{title}: size", _size(a), _size(b))
 
 
-def _beyond(one: Result | None, other: Result | None) -> bool:
+def _beyond(a: Result, b: Result) -> bool:
+    one, other = a["size"], b["size"]
     if one is None or other is None:
         return one is not other
-    return not (_holds(one, other["estimate"]) and _holds(other, one["estimate"]))
+    signs: tuple[float, ...] = (1.0,)
+    if a["kind"] in SIGNED and not (a["isolated"] and b["isolated"]):
+        signs = (1.0, -1.0)
+    return not any(
+        _holds(one, turned["estimate"]) and _holds(turned, one["estimate"])
+        for turned in (_times(other, sign) for sign in signs)
+    )
+
+
+def _times(size: Result, sign: float) -> Result:
+    if sign > 0:
+        return size
+    estimate, low, high = (
+        None if size[key] is None else -size[key] for key in ("estimate", "low", "high")
+    )
+    return {**size, "estimate": estimate, "low": high, "high": low}
 
 
 def _holds(size: Result, estimate: float | None) -> bool:
@@ -285,13 +323,16 @@ def _title(finding: Result) -> str:
 
 
 def _sentence(finding: Result) -> str:
-    size = f", {_size(finding['size'])}" if finding["size"] else ""
+    size = f", {_size(finding)}" if finding["size"] else ""
     return f"{finding['start_s']:.3f} to {finding['end_s']:.3f} s{size}"
 
 
-def _size(size: Result | None) -> str:
+def _size(finding: Result) -> str:
+    size = finding["size"]
     if size is None:
         return "unknown"
+    if finding["kind"] in SIGNED and not finding["isolated"] and (size["estimate"] or 0.0) < 0.0:
+        size = _times(size, -1.0)
     unit = str(size["unit"])
     in_degrees = unit.startswith("rad")
     shown = [
