@@ -57,6 +57,9 @@ class Stream:
     origin
         ``sensor``: what one gyro measured; ``selected``: chosen or filtered by the autopilot from
         one of them; ``derived``: differentiated from an attitude or odometry, a witness only.
+    batched
+        Whether it comes in short batches: what lies between them was never recorded, so it is no
+        loss and no silence, and a stream that goes on all the time is preferred.
     offsets : (n_records,) int64
         Byte offset of each record in the file, where a record is found at one.
     """
@@ -71,6 +74,7 @@ class Stream:
     channel_names: tuple[str, ...] = ()
     sensor: int | None = None
     origin: Origin = "sensor"
+    batched: bool = False
     offsets: NDArray[np.int64] | None = None
     count: int = -1
 

@@ -133,7 +133,9 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     base = time_base([gyro.time_ns for gyro in gyros], config.tolerance.dropout_s)
     zero_ns = int(base.time_ns[0])
     restarts = [after for clean in stamps for after, _ in clean.restarts]
-    holes = _holes(base, restarts, config.tolerance.dropout_s)
+    holes: list[Problem] = []
+    if not all(gyro.stream.batched for gyro in gyros):
+        holes = _holes(base, restarts, config.tolerance.dropout_s)
     placed = [place(gyro.time_ns, gyro.rate_rad_s, base) for gyro in gyros]
     table = ChannelTable(
         time_s=(base.time_ns - zero_ns) / 1e9,
@@ -305,11 +307,12 @@ def _accelerometer_alive(stream: Stream, recording: Recording) -> bool | None:
     return any(bool((np.isfinite(column) & (column != 0.0)).any()) for column in columns)
 
 
-def _preference(gyro: Gyro) -> tuple[int, bool, float, int]:
-    """Sort key: what one sensor measured, then what holds readings, then the faster one."""
+def _preference(gyro: Gyro) -> tuple[int, bool, bool, float, int]:
+    """Sort key: what one sensor measured, what holds readings, what goes on, the faster one."""
     rank = {"sensor": 2, "selected": 1, "derived": 0}[gyro.stream.origin]
     alive = bool((np.isfinite(gyro.rate_rad_s) & (gyro.rate_rad_s != 0.0)).any())
-    return (rank, alive, round(gyro.stream.rate_hz, 3), len(gyro.time_ns))
+    steady = not gyro.stream.batched
+    return (rank, alive, steady, round(gyro.stream.rate_hz, 3), len(gyro.time_ns))
 
 
 def _reason_against(gyro: Gyro, *, measured: bool, use: Sequence[str]) -> str:
@@ -503,6 +506,7 @@ def _channels(gyros: list[Gyro], axes: NDArray[np.float64]) -> tuple[Channel, ..
                     samples=len(readings),
                     step_rad_s=float(quantisation_step(readings)),
                     derived=gyro.derived,
+                    batched=gyro.stream.batched,
                 )
             )
     return tuple(channels)

@@ -31,6 +31,8 @@ class Channel:
         How many readings of it the log holds.
     step_rad_s
         Quantisation step of its readings, 0 where none shows. [rad/s]
+    batched
+        Whether it comes in short batches, and is silent between them on purpose.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Channel:
     samples: int
     step_rad_s: float = 0.0
     derived: bool = False
+    batched: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -33,7 +33,7 @@ class DropoutDetector:
         for source in dict.fromkeys(channel.source for channel in table.channels):
             columns = [k for k, c in enumerate(table.channels) if c.source == source]
             others = [k for k in range(len(table.channels)) if k not in columns]
-            if others:
+            if others and not table.channels[columns[0]].batched:
                 # A slow source loses a record now and then; that is no silence yet.
                 rate_hz = table.channels[columns[0]].rate_hz
                 limit_s = hole_threshold_s(1.0 / rate_hz if rate_hz else 0.0, shortest_s)

@@ -73,6 +73,7 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
         layouts=framing.layouts,
         counts=found.counts,
         problems=problems,
+        also=also,
     )
 
 

@@ -6,7 +6,7 @@ Shared by the binary and the text form of the log, which differ in how records a
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fdilog.recording import Problem, Recording, Stream
 from fdilog_readers.columns import Offsets, choose_time, plain_text
+from fdilog_readers.dataflash_batches import BLOCK, HEADER, batch_streams
 from fdilog_readers.dataflash_layout import FIELDS, Layout, is_number
 from fdilog_readers.dataflash_vehicle import (
     ARMED,
@@ -27,7 +28,7 @@ from fdilog_readers.dataflash_vehicle import (
 )
 
 # Read without being asked for: gyros, what corroborates them, and what tells of the vehicle.
-DEFAULT = re.compile(r"(IMU|GYR)\d?|ATT|MAG|RCOU|GPS|EV|ARM|MSG|PARM|VER|FMTU|UNIT|MULT")
+DEFAULT = re.compile(r"(IMU|GYR)\d?|ISB[HD]|ATT|MAG|RCOU|GPS|EV|ARM|MSG|PARM|VER|FMTU|UNIT|MULT")
 INSTANCE = "I"
 GYRO_NAME = re.compile(r"(IMU|GYR)(\d?)(?:\[(\d+)\])?")
 GYRO_AXES = ("GyrX", "GyrY", "GyrZ")
@@ -100,6 +101,7 @@ def recording(
     layouts: Mapping[int, Layout],
     counts: Mapping[str, int],
     problems: list[Problem],
+    also: Collection[str] = (),
 ) -> Recording:
     """Make the recording of what was read and what was only counted.
 
@@ -115,10 +117,17 @@ def recording(
         Of every type of message.
     counts
         Number of records by message name, of all of them.
+    also
+        What was asked for by name.
     """
     _fill_in_time(tables)
+    batches, flaws = batch_streams(tables)
+    problems = [*problems, *flaws]
+    if batches:  # in their place the raw records are only listed
+        tables = {n: t for n, t in tables.items() if n not in (HEADER, BLOCK) or n in also}
     units = _told_units(tables, layouts)
     streams = [_stream(name, table, units) for name, table in tables.items()]
+    streams += batches
     loaded = {name.partition("[")[0] for name in tables}
     streams += [
         Stream(name=name, time_ns=np.empty(0, np.int64), count=count)

@@ -76,6 +76,7 @@ def read(path: Path, also: Collection[str] = ()) -> Recording:
         layouts={layout.type: layout for layout in layouts.values()},
         counts=counts,
         problems=log.problems(),
+        also=also,
     )
 
 
