@@ -3,6 +3,7 @@
 python benchmarks/coverage.py            # one minute, 100 000 windows a row
 python benchmarks/coverage.py --quick    # 10 000 windows a row
 python benchmarks/coverage.py --speed    # seconds for an hour at 200 Hz
+python benchmarks/coverage.py --guaranteed    # how often a guaranteed interval holds the truth
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.detectors.guaranteed import guaranteed_intervals
+from fdilog.geometry import named_axes
 from fdilog.noise import windowed_mean
 from fdilog.student import student_quantile
 
@@ -175,13 +178,46 @@ def speed() -> None:
         print(f"{q} series, one hour at 200 Hz, all lengths: {total:.2f} s")
 
 
+UNITS = (("matasov", 6, 2), ("dodecahedron", 6, 2), ("mirrored-triads", 6, 2),
+         ("aligned-triads", 9, 2), ("pentagon", 5, 1))  # fmt: skip
+ROUNDING = 1e-12
+
+
+def guaranteed(samples: int) -> None:
+    """Count guaranteed intervals that miss: errors up to the very bound, failures of any size."""
+    print("| unit | failures | errors | intervals | that miss | median half-width / bound |")
+    print("|---|---|---|---|---|---|")
+    for name, channels, most in UNITS:
+        axes = named_axes(name, channels)
+        for failures in range(most + 1):
+            for errors in ("uniform", "at the bound"):
+                rng = np.random.default_rng(7)
+                off = rng.uniform(-1.0, 1.0, (samples, channels))
+                off = np.sign(off) if errors == "at the bound" else off
+                order = rng.random((samples, channels)).argsort(axis=1)[:, :failures]
+                size = rng.normal(0.0, 1.0, order.shape) * 10.0 ** rng.uniform(0, 3, order.shape)
+                np.put_along_axis(off, order, size, axis=1)
+                true = rng.normal(0.0, 100.0, (samples, 3)) @ axes.T
+                low, high, _ = guaranteed_intervals(true + off, axes, 1.0, most)
+                slack = ROUNDING * np.abs(true).max()
+                missed = ~((low <= true + slack) & (true - slack <= high))
+                half = (high - low) / 2.0
+                print(
+                    f"| {name}, {channels} | {failures} | {errors} | {low.size} |"
+                    f" {int(missed.sum())} | {np.median(half):.2f} |"
+                )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--guaranteed", action="store_true")
     chosen = parser.parse_args()
     if chosen.speed:
         speed()
+    elif chosen.guaranteed:
+        guaranteed(2_000 if chosen.quick else 20_000)
     else:
         coverage(10_000 if chosen.quick else 100_000)
 
