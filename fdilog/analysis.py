@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fdilog.biases import Hearing
+    from fdilog.registry import Detector
     from fdilog.witness import Witness
 
 SCHEMA = "fdilog/1"
@@ -297,7 +298,7 @@ def judge(
     from fdilog.mounting import mounting_findings, mountings, turned_back
     from fdilog.registry import detectors, plugins
     from fdilog.scales import scale_findings
-    from fdilog.windows import Survey, cut, spans
+    from fdilog.windows import Survey, spans
 
     names = config.detectors.use or _default_order(plugins("detectors"))
     chosen = list(detectors(names))
@@ -328,13 +329,7 @@ def judge(
             progress(f"{name}, every sample")
             windows = spans(heard, each, each + 1)
             sampled.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
-    compared: list[Evidence] = []
-    for windows in cut(sound, config):
-        survey = Survey(table=sound, windows=windows, config=config)
-        for name, detector in chosen:
-            if detector.stage == "windows":
-                progress(f"{name}, {windows.length_s:g} s windows")
-                compared.extend(detector.detect(survey))
+    compared = _windowed(sound, chosen, config, progress)
     # An attitude is smoother than any gyro; only gyros tell noise from motion.
     noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
     compared = [item for item in compared if item.kind == "bias"]
@@ -364,6 +359,33 @@ def judge(
         ),
         calibration=calibration,
     )
+
+
+def _windowed(
+    table: ChannelTable,
+    chosen: Sequence[tuple[str, Detector]],
+    config: Config,
+    progress: Callable[[str], None],
+) -> list[Evidence]:
+    """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
+    from fdilog.alignment import aligned_windows, for_aligned
+    from fdilog.windows import Survey, cut
+
+    asked = [(name, detector) for name, detector in chosen if detector.stage == "windows"]
+    found: list[Evidence] = []
+    for windows in cut(table, config):
+        survey = Survey(table=table, windows=windows, config=config)
+        for name, detector in asked:
+            progress(f"{name}, {windows.length_s:g} s windows")
+            found.extend(detector.detect(survey))
+    biased = [item for item in found if item.kind == "bias"]
+    leading = [item for item in biased if item.detector == biased[0].detector]
+    if (aligned := aligned_windows(table, leading)) is not None:
+        survey = Survey(table=table, windows=aligned, config=for_aligned(config))
+        for name, detector in asked:
+            progress(f"{name}, windows laid to fit")
+            found.extend(item for item in detector.detect(survey) if item.kind == "bias")
+    return found
 
 
 def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:

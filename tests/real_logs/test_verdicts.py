@@ -88,6 +88,23 @@ def test_a_bias_that_the_vibration_of_its_imu_hides_at_times_is_one_finding(
     assert biases[0].end_s == pytest.approx(187.2, abs=1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "sensor", "axis", "start_s"),
+    [
+        ("quad_3imu_good_prop_hover_1", 1, 0, 65.7),
+        ("quad_3imu_good_prop_hover_1", 1, 1, 68.4),
+        ("quad_3imu_25_mm_cut_hover_1", 1, 0, 26.9),
+    ],
+)
+def test_a_bias_that_no_regular_window_is_sure_of_is_found_over_its_own_span(
+    real_logs: Path, name: str, sensor: int, axis: int, start_s: float
+) -> None:
+    recording = fdilog.read(real_logs / "dataflash" / f"{name}.bin")
+    changed = with_bias(recording, sensor, axis, start_s=start_s, length_s=20.0, deg_s=-2.0)
+    findings = analyse_recording(changed, Config()).findings
+    assert [finding.suspects for finding in findings] == [(f"imu{sensor}.{'xyz'[axis]}",)]
+
+
 def test_a_log_cut_in_its_table_of_formats_is_unreadable_with_the_reason(real_logs: Path) -> None:
     with pytest.raises(FdilogError, match="truncated_600_bytes"):
         analyse(real_logs, "truncated_600_bytes")

@@ -1,0 +1,88 @@
+"""Windows laid where a fault seems to lie, for faults that regular windows see in part only.
+
+A fault of twenty seconds fills no window of twenty seconds that advances by ten, and a window of
+ten knows its mean less well than the whole span would. Regular windows whose interval excludes zero
+and whose middle lies beyond tolerance are hints; the span that explains most of the readings around
+them is one more window, for all detectors to look at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fdilog.accusations import Accusation, clusters, region
+from fdilog.config import Config
+from fdilog.edges import best_step
+from fdilog.finding import Evidence, Windows
+from fdilog.table import ChannelTable
+from fdilog.traces import trace_of
+from fdilog.windows import spans
+
+# A window with both edges placed to a tenth of its length was chosen from a hundred.
+PLACEMENTS = 100.0
+# Means of fewer readings are off too often by chance to be hints.
+FEWEST_READINGS = 20
+# Keeps the ratio finite where repeated readings leave no doubt at all. [rad/s]
+TINY = 1e-12
+
+
+def aligned_windows(table: ChannelTable, evidence: Sequence[Evidence]) -> Windows | None:
+    """Lay windows over the spans that hints point at, or none if there are no hints.
+
+    Parameters
+    ----------
+    evidence
+        Of the leading detector, over regular windows; with intervals for a bias.
+    """
+    hints = [hint for item in evidence for hint in _hints(item)]
+    found: set[tuple[int, int]] = set()
+    while hints:
+        left: list[Accusation] = []
+        for cluster in clusters(table.time_s, hints):
+            first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
+            trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
+            if trace is None:
+                continue
+            span = trace.placed(best_step(trace.residual, trace.weight()))
+            if span.stop - span.start >= FEWEST_READINGS:
+                found.add((span.start, span.stop))
+            left.extend(
+                hint
+                for hint in cluster.members
+                if hint.stop <= span.start or hint.start >= span.stop
+            )
+        hints = left if len(left) < len(hints) else []
+    if not found:
+        return None
+    start, stop = np.array(sorted(found)).T
+    return spans(table, start, stop)
+
+
+def for_aligned(config: Config) -> Config:
+    """Return the settings for windows of which each was chosen from `PLACEMENTS`."""
+    doubt = (1.0 - config.windows.confidence) / PLACEMENTS
+    return config.replace("windows", confidence=1.0 - doubt)
+
+
+def _hints(evidence: Evidence) -> Iterator[Accusation]:
+    """List the windows in which the channel that is off the most may well be beyond tolerance."""
+    windows = evidence.windows
+    long_enough = windows.stop - windows.start >= FEWEST_READINGS
+    rows = np.flatnonzero(long_enough & ~evidence.accused.any(axis=1))
+    low, high = evidence.low[rows], evidence.high[rows]
+    bounded = evidence.tested[rows] & np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(bounded, low, -1.0), np.where(bounded, high, 1.0)
+    middle, half_width = (low + high) / 2.0, (high - low) / 2.0
+    beyond = bounded & (np.abs(middle) > np.maximum(half_width, evidence.tolerance[rows]))
+    surest = np.where(beyond, np.abs(middle) / (half_width + TINY), -1.0).argmax(axis=1)
+    for k in np.flatnonzero(beyond.any(axis=1)):
+        yield Accusation(
+            kind=evidence.kind,
+            detector=evidence.detector,
+            suspects=frozenset({int(surest[k])}),
+            start=int(windows.start[rows[k]]),
+            stop=int(windows.stop[rows[k]]),
+            length_s=windows.length_s,
+        )

@@ -1,0 +1,59 @@
+"""Windows laid where a fault seems to lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fdilog.alignment import aligned_windows, for_aligned
+from fdilog.analysis import judge
+from fdilog.config import Config
+from fdilog.finding import Evidence
+from fdilog.table import ChannelTable
+from fdilog.windows import Survey, cut
+from tests.tables import DEG, changed, put, triads
+
+CONFIG = Config().replace("detectors", use=("parity",))
+# Independent noise with which ten seconds know a mean to a deg/s, and twenty to 0.7.
+SHAKE_DEG_S = 6.0
+
+
+def shaken(seed: int) -> ChannelTable:
+    table = triads(3, seconds=90.0)
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(0.0, SHAKE_DEG_S * DEG, table.rate_rad_s.shape)
+    return put(table, table.rate_rad_s + noise)
+
+
+def evidence(table: ChannelTable) -> list[Evidence]:
+    from fdilog.registry import detectors
+
+    ((_, parity),) = detectors(["parity"])
+    surveys = (Survey(table=table, windows=each, config=CONFIG) for each in cut(table, CONFIG))
+    return [item for survey in surveys for item in parity.detect(survey)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_window_is_laid_over_a_fault_that_no_regular_window_fits(seed: int) -> None:
+    table = changed(shaken(seed), "imu1.y", 25.3, 45.3, add=2.2 * DEG)
+    aligned = aligned_windows(table, evidence(table))
+    assert aligned is not None
+    off = np.abs(aligned.start_s - 25.3) + np.abs(aligned.end_s - 45.3)
+    assert float(off.min()) < 5.0
+
+
+def test_no_window_laid_to_fit_accuses_a_sound_gyro() -> None:
+    for seed in range(6):
+        table = changed(shaken(seed), "imu1.y", 25.3, 45.3, add=2.2 * DEG)
+        assert {finding.suspects for finding in judge(table, CONFIG).findings} <= {("imu1.y",)}
+
+
+def test_quiet_gyros_give_no_hint() -> None:
+    table = triads(3)
+    assert aligned_windows(table, evidence(table)) is None
+
+
+def test_what_was_chosen_from_many_places_needs_to_be_surer() -> None:
+    config = Config()
+    stricter = for_aligned(config).windows.confidence
+    assert 1.0 - stricter == pytest.approx((1.0 - config.windows.confidence) / 100.0)
