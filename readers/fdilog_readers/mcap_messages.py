@@ -142,6 +142,7 @@ class Messages:
 
     def _index_lost(self, place: ChunkPlace, offset: int) -> None:
         what = "the message indexes behind a chunk are damaged; its records were read one by one"
+        offset = min(max(offset, place.start), place.end)  # it may be the damaged number
         self.contents.problems.append(
             Problem(what=what, offset=offset, bytes_lost=max(0, place.end - offset))
         )
