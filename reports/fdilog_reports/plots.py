@@ -237,7 +237,7 @@ class _Drawing:
 def _is_guarantee(item: Evidence, analysis: Analysis) -> bool:
     """Whether an evidence holds guaranteed intervals for every sample of the table."""
     each = len(item.windows) == len(analysis.table.time_s)
-    return item.kind == "bias" and item.confidence >= 1.0 and each
+    return item.kind == "bias" and item.confidence >= 1.0 and each and bool(item.tested.any())
 
 
 # --- the library and the script -----------------------------------------------------------------

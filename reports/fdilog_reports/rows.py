@@ -118,7 +118,8 @@ class QuoteRow:
 
 def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow:
     """Put one finding into words and numbers."""
-    size = sentences.printed_size(finding, flipped=sentences.negated(finding, analysis))
+    flipped = sentences.negated(finding, analysis)
+    size = sentences.printed_size(finding, flipped=flipped)
     any_suspect = finding.isolated or sentences.size_is_shared(finding, analysis)
     tolerance = _tolerance(finding, analysis)
     when = flight_time(finding.start_s, finding.end_s)
@@ -159,7 +160,7 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         tolerance=tolerance,
         detectors=listed([shown(name) for name in finding.detectors]),
         dissent=listed([shown(name) for name in finding.dissent]),
-        bar=size_bar(finding, analysis.config.tolerance),
+        bar=size_bar(finding, analysis.config.tolerance, flipped=flipped),
         facts=tuple(fact for fact in facts if fact.value),
     )
 

@@ -27,15 +27,19 @@ class SizeBar:
     unit: str
 
 
-def size_bar(finding: Finding, tolerance: Tolerance) -> SizeBar | None:
-    """Place a finding's size, if it has one in the unit of the tolerance it is held against."""
+def size_bar(finding: Finding, tolerance: Tolerance, *, flipped: bool = False) -> SizeBar | None:
+    """Place a finding's size, if it has one in the unit of the tolerance it is held against.
+
+    ``flipped`` draws its negative, where that is what the words beside it give.
+    """
     size = finding.size
     if size is None or not math.isfinite(size.estimate):
         return None
     scale, unit, low, high = _tolerated(finding.kind, tolerance)
     if not unit:
         return None
-    ends = [scale * end for end in (size.low, size.high)]
+    scale = -scale if flipped else scale
+    ends = sorted(scale * end for end in (size.low, size.high))
     known = [end for end in (*ends, scale * size.estimate, low, high) if math.isfinite(end)]
     least, most = min(known), max(known)
     room = ROOM * (most - least) or 1.0

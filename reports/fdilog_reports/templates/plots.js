@@ -75,10 +75,10 @@
     const text = size >= 1e6 ? value.toExponential(2) : value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 2);
     return text.replace("-", "\u2212");
   };
-  const range = (line, time) => {
+  const range = (line, time, reach = Infinity) => {
     if (!line.t.length) return "";
     const i = nearest(line.t, time);
-    if (Number.isNaN(line.low[i])) return "no data";
+    if (Number.isNaN(line.low[i]) || Math.abs(line.t[i] - time) > reach) return "no data";
     const low = number(line.low[i]), high = number(line.high[i]);
     return low === high ? low : `${low} to ${high}`;
   };
@@ -155,7 +155,7 @@
         const box = new B.BoxAnnotation({
           left: finding.start, right: finding.end, level: "underlay", fill_alpha: 0.16,
           line_alpha: 0.8, line_width: 1, hatch_pattern: failed ? null : "right_diagonal_line",
-          hatch_alpha: 0.5, hatch_scale: 8,
+          hatch_alpha: 0.25, hatch_scale: 8,
         });
         paint(box, { fill_color: "--tall", line_color: "--tall", hatch_color: "--tall" });
         figure.add_layout(box);
@@ -268,8 +268,8 @@
       paint(glyph.glyph, { line_color: "--residual" });
       if (statistical) {
         const beyond = (i) => statistical.low[i] > facts.tolerance || statistical.high[i] < -facts.tolerance;
-        band(figure, only(statistical, (i) => !beyond(i)), "statistical", 0.75, facts.hop);
-        band(figure, only(statistical, beyond), "tall", 0.85, facts.hop);
+        band(figure, only(statistical, (i) => !beyond(i)), "statistical", 0.65, facts.hop);
+        band(figure, only(statistical, beyond), "tall", 0.75, facts.hop);
       }
       for (const axis of figure.yaxes) {
         axis.ticker = new B.FixedTicker({ ticks: facts.ticks.map(([rate]) => placed(rate)) });
@@ -283,7 +283,7 @@
       readers.push((time) => {
         if (time === null) { value.textContent = ""; return; }
         const parts = [range(line, time)];
-        if (statistical) parts.push(`interval ${range(statistical, time)}`);
+        if (statistical) parts.push(`interval ${range(statistical, time, facts.hop)}`);
         if (guaranteed) parts.push(`guaranteed ${range(guaranteed, time)}`);
         value.textContent = parts.join("; ");
       });
