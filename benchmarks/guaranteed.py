@@ -2,6 +2,7 @@
 
 python benchmarks/guaranteed.py                 # samples per second of both, and peak memory
 python benchmarks/guaranteed.py --check 2000    # that many random instances per n against HiGHS
+python benchmarks/guaranteed.py --channels      # samples per second by the number of skewed gyros
 """
 
 from __future__ import annotations
@@ -107,6 +108,25 @@ def compare_speed(n_programs: int) -> None:
         )
 
 
+def by_channels() -> None:
+    """Time units of random skewed axes, two failures allowed."""
+    print("skewed gyros, samples per second, seconds for an hour at 200 Hz")
+    for channels, samples in ((5, 200_000), (6, 200_000), (8, 50_000), (9, 20_000), (10, 10_000)):
+        rng = np.random.default_rng(0)
+        axes = rng.normal(size=(channels, 3))
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        z = rng.normal(0.0, 50.0, (samples, 3)) @ axes.T
+        z += np.clip(rng.normal(0.0, BOUND / 4.0, z.shape), -BOUND, BOUND)
+        guaranteed_intervals(z[:1], axes, BOUND)
+        seconds = []
+        for _ in range(REPEATS):
+            start = time.process_time()
+            guaranteed_intervals(z, axes, BOUND)
+            seconds.append(time.process_time() - start)
+        rate = samples / float(np.median(seconds))
+        print(f"{channels:12}{rate:20,.0f}{3600 * 200 / rate:34.1f}")
+
+
 def check(n_instances: int) -> bool:
     """Compare with the linear programs on random instances, half of them with aligned axes."""
     from tests.oracles import EDGE, SCALE, guaranteed_by_programs, random_instance
@@ -145,12 +165,16 @@ def check(n_instances: int) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", type=int, metavar="INSTANCES")
+    parser.add_argument("--channels", action="store_true")
     parser.add_argument("--programs", type=int, default=8, help="samples solved as programs")
     parser.add_argument("--alone", choices=FLIGHTS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     sys.path.insert(0, str(Path(__file__).parent.parent))
     if options.alone:
         print(json.dumps(ours(options.alone)))
+        return 0
+    if options.channels:
+        by_channels()
         return 0
     if options.check:
         return 0 if check(options.check) else 1
