@@ -20,6 +20,7 @@ from fdilog.offsets import ClockOffset
 from fdilog.recording import Problem, Recording
 from fdilog.sources import Assembly, SourceInfo, assemble
 from fdilog.table import ChannelTable
+from fdilog.temperature import temperature_notes, temperatures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,6 +215,11 @@ def analyse_recording(
         judged, recording, table, config, zero_ns=assembly.zero_ns, progress=progress
     )
     completeness = _completeness(recording, assembly, notes)
+    calibration = judged.calibration
+    if not any(finding.kind == "mounting" for finding in judged.findings):
+        measured = temperatures(recording, assembly.sources, assembly.zero_ns)
+        warmth = temperature_notes(table, measured, config.windows.confidence)
+        calibration = with_notes(calibration, warmth)
     quoted = autopilot_notes(
         recording,
         assembly.zero_ns,
@@ -228,7 +234,7 @@ def analyse_recording(
         status=judged.status,
         sigma_rad_s=tuple(_sigma(table, channel) for channel in range(len(table.channels))),
         clocks=assembly.clocks,
-        calibration=judged.calibration,
+        calibration=calibration,
         isolability=_isolability(table),
         verdict=_verdict(table, judged.status, whole=completeness.whole),
         findings=with_quotes(judged.findings, quoted, recording),

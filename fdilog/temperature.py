@@ -193,7 +193,8 @@ def _robust(design: Floats, target: Floats) -> float:
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
         before = solved
-        solved = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
+        fitted = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
+        solved = np.asarray(fitted, np.float64)
         if np.allclose(before, solved, rtol=1e-6, atol=1e-12):
             break
         residual = target - design @ solved
