@@ -398,14 +398,16 @@ def export(
     config: ConfigFile = None,
     geometry: Annotated[str, typer.Option(metavar="NAME|FILE")] = "",
 ) -> None:
-    """Write the channel table as .csv, .npz or .parquet; analyse reads .csv and .parquet back."""
-    from fdilog.export import write_table
+    """Write the channel table as .csv, .npz or .parquet, or the gyros as a log of another format.
+
+    The suffix of the file decides. All but .npz can be analysed.
+    """
+    from fdilog import export as exporting
     from fdilog.registry import read
-    from fdilog.sources import channel_table
 
     settings = _settings(config, geometry, "", None)
     recording = read(log, [source.topic for source in settings.sources.gyro])
-    write_table(channel_table(recording, settings), output)
+    exporting.export(recording, output, settings)
 
 
 @app.command("config")

@@ -1,4 +1,4 @@
-"""Writing a channel table to a file that other tools, and fdilog itself, can read."""
+"""Writing what a log says of its gyros to a file that other tools, and fdilog itself, can read."""
 
 from __future__ import annotations
 
@@ -6,10 +6,40 @@ from pathlib import Path
 
 import numpy as np
 
+from fdilog.config import Config
 from fdilog.errors import FdilogError, UsageError
+from fdilog.recording import Recording
+from fdilog.registry import plugins
+from fdilog.sources import channel_table
 from fdilog.table import ChannelTable
+from fdilog.writing import write
 
 SUFFIXES = (".csv", ".npz", ".parquet")
+
+
+def export(recording: Recording, path: Path, config: Config) -> None:
+    """Write the channel table, or the recording as a log of the format that the suffix names.
+
+    The table is what an analysis with this configuration would compare; another format gets the
+    gyros, accelerometers and attitude that a log of it would have held.
+
+    Raises
+    ------
+    UsageError
+        If the suffix names no format, the format cannot hold these gyros, or the path is the log.
+    FdilogError
+        If the file cannot be written, or there is no gyro.
+    """
+    suffix = path.suffix.lower()
+    formats = sorted({*SUFFIXES, *(writer.suffix for writer in plugins("writers").values())})
+    if suffix not in formats:
+        raise UsageError(f"{path}: cannot write '{suffix}'; known: {', '.join(formats)}")
+    if path.exists() and Path(recording.path).exists() and path.samefile(recording.path):
+        raise UsageError(f"{path}: is the log itself; name another file")
+    if suffix in SUFFIXES:
+        write_table(channel_table(recording, config), path)
+    else:
+        write(recording, path)
 
 
 def write_table(table: ChannelTable, path: Path) -> None:

@@ -27,13 +27,14 @@ Encoding = Literal["cdr", "json", "protobuf"]
 AXES, TURN = ("x", "y", "z"), ("w", "x", "y", "z")
 
 
-def write(recording: Recording, path: Path, encoding: Encoding = "cdr") -> None:
+def write(recording: Recording, path: Path, encoding: Encoding | None = None) -> None:
     """Write the gyros of a recording as ``/imu0/data`` ..., and its attitude as ``/attitude``.
 
     Parameters
     ----------
     encoding
-        ``cdr`` as ROS 2 writes it, or ``json`` or ``protobuf`` with the same fields.
+        ``cdr`` as ROS 2 writes it, or ``json`` or ``protobuf`` with the same fields; if not said,
+        what stands before the suffix (``flight.json.mcap``), else ``cdr``.
 
     Raises
     ------
@@ -42,6 +43,9 @@ def write(recording: Recording, path: Path, encoding: Encoding = "cdr") -> None:
     """
     from mcap.writer import Writer
 
+    if encoding is None:
+        named = path.stem.lower().rpartition(".")[2]
+        encoding = "json" if named == "json" else "protobuf" if named == "protobuf" else "cdr"
     topics = published(recording)
     store = typestore(2) if encoding == "cdr" else None
     part = replacing(path)

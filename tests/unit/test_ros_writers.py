@@ -146,13 +146,10 @@ def of(time_ns: list[int], columns: dict[str, Any], **settings: Any) -> Recordin
 def test_a_reading_that_is_no_number_stays_one(tmp_path: Path) -> None:
     columns = {axis: np.array([1.0, np.nan, -np.inf, 2.0]) for axis in AXES}
     recording = of([1, 2, 3, 4], columns, gyro=AXES)
-    for name in ("a.mcap", "a.bag", "a.db3"):
+    for name in ("a.mcap", "a.json.mcap", "a.protobuf.mcap", "a.bag", "a.db3"):
         write(recording, tmp_path / name)
         found = stream(read(tmp_path / name), "/imu0/data").columns["angular_velocity.x"]
-        assert np.array_equal(found, columns["x"], equal_nan=True)
-    mcap_writer.write(recording, tmp_path / "j.mcap", "json")
-    found = stream(read(tmp_path / "j.mcap"), "/imu0/data").columns["angular_velocity.x"]
-    assert np.array_equal(found, [1.0, np.nan, np.nan, 2.0], equal_nan=True)
+        assert np.array_equal(found, [1.0, np.nan, np.nan, 2.0], equal_nan=True)
 
 
 def test_what_a_message_cannot_hold_is_one_clear_line(tmp_path: Path) -> None:
