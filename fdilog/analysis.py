@@ -269,8 +269,9 @@ def _held_against_model(
     named = dict.fromkeys((*config.observer.outputs, *config.observer.inputs))
     beside = [name for name in named if name not in table.names]
     signals, complaints = find_signals(recording, beside, zero_ns)
-    judged, notes = with_model(judged, table, signals, config, progress)
-    return judged, [*(f"observer: {complaint}" for complaint in complaints), *notes]
+    if complaints:
+        return judged, [f"observer: not asked: {'; '.join(complaints)}"]
+    return with_model(judged, table, signals, config, progress)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

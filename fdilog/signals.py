@@ -71,16 +71,22 @@ def find_signals(
     Returns
     -------
     signals, complaints
-        By name; and what is wrong with those that are missing.
+        By name; and what is wrong with those that are missing. Not every log of a campaign holds
+        every stream, and that is no error.
 
     Raises
     ------
     UsageError
-        If the log holds no such field; the text names the nearest one.
+        If a stream that is there has no such field, or several streams have; the text names the
+        nearest one, or all.
     """
     signals, complaints = {}, []
     for name in names:
-        stream, field = _found(recording, name)
+        found = _found(recording, name)
+        if found is None:
+            complaints.append(f"no '{name}' in this log")
+            continue
+        stream, field = found
         (stamps,) = clean_stamps([stream.time_ns])
         if stamps.restarts:
             complaints.append(f"the clock of {stream.name} restarts")
@@ -99,7 +105,7 @@ def find_signals(
     return signals, complaints
 
 
-def _found(recording: Recording, name: str) -> tuple[Stream, str]:
+def _found(recording: Recording, name: str) -> tuple[Stream, str] | None:
     matches = [
         (stream, field)
         for stream in recording.streams
@@ -113,11 +119,11 @@ def _found(recording: Recording, name: str) -> tuple[Stream, str]:
     if matches:
         known = ", ".join(f"{stream.name}.{field}" for stream, field in matches)
         raise UsageError(f"observer: '{name}' is not one series; name one of {known}")
-    # Of a stream that is there the fields are named, else whatever there is.
-    topic = next((s for s in recording.streams if name.startswith(f"{s.name}.")), None)
-    streams = [topic] if topic else recording.streams
-    known_names = [f"{s.name}.{field}" for s in streams for field in s.columns]
-    raise UsageError(f"observer: no '{name}' in this log{nearest(name, known_names)}")
+    topics = [s for s in recording.streams if name.startswith(f"{s.name}.") and s.columns]
+    if topics:
+        fields = [f"{s.name}.{field}" for s in topics for field in s.columns]
+        raise UsageError(f"observer: no '{name}' in this log{nearest(name, fields)}")
+    return None
 
 
 def sampled(signal: Signal, time_s: Floats, dropout_s: float) -> Floats:

@@ -86,6 +86,24 @@ def test_a_name_that_the_log_does_not_hold_names_the_nearest(voyage: Path) -> No
         analysed(voyage, toml(inputs=["boat.ruder"], identify=True))
 
 
+def test_a_log_without_the_streams_of_the_model_is_analysed_all_the_same(
+    voyage: Path, sample_logs: Path
+) -> None:
+    (voyage / "observer.toml").write_text(toml(identify=True), encoding="utf-8")
+    log = str(sample_logs / "two_imus_bias.bin")
+    with_model = ["--config", str(voyage / "observer.toml"), "--detectors", "parity,observer"]
+    said = RUNNER.invoke(app, ["analyse", log, *with_model, "--json"])
+    told = json.loads(said.stdout)
+    assert told["verdict"] == "failed"
+    notes = [problem["what"] for problem in told["completeness"]["problems"]]
+    missing = "; ".join(f"no '{name}' in this log" for name in toml_names())
+    assert f"observer: not asked: {missing}" in notes
+
+
+def toml_names() -> tuple[str, ...]:
+    return ("boat.sway", "gyro.z", "boat.rudder")
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
