@@ -20,13 +20,13 @@ def render(campaign: Campaign) -> str:
     skipped = counts["undecided"] + counts["insufficient"]
     numbers = (
         f'tests="{len(campaign.logs)}" failures="{counts["failed"]}"'
-        f' errors="{counts[NOT_ANALYSED]}" skipped="{skipped}"'
+        f' errors="{counts[NOT_ANALYSED]}"'
     )
     return "\n".join(
         [
             '<?xml version="1.0" encoding="utf-8"?>',
             f'<testsuites name="fdilog audit" {numbers}>',
-            f'<testsuite name="fdilog audit" {numbers}>',
+            f'<testsuite name="fdilog audit" {numbers} skipped="{skipped}">',
             *(_case(log) for log in campaign.logs),
             "</testsuite>",
             "</testsuites>",

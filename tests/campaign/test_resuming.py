@@ -46,8 +46,8 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def killed_after(lines: int, *arguments: str | Path) -> None:
-    """Start an audit, and kill -9 it once it has told of so many logs."""
+def killed_after(lines: int, delay_s: float, *arguments: str | Path) -> None:
+    """Start an audit, and kill -9 it some time after it has told of so many logs."""
     with subprocess.Popen(
         audit_command(*arguments), env=environment(), stderr=subprocess.PIPE, text=True
     ) as process:
@@ -56,6 +56,7 @@ def killed_after(lines: int, *arguments: str | Path) -> None:
             lines -= line.startswith("[")
             if lines <= 0:
                 break
+        time.sleep(delay_s)
         family = children_of(process.pid)
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -77,7 +78,8 @@ def test_kill_9_at_any_moment_loses_only_what_was_in_flight(
     undisturbed = run_audit(logs, "-o", tmp_path / "whole", "-j", "2")
     rng = np.random.default_rng(1)
     for _ in range(KILLS):
-        killed_after(int(rng.integers(1, 3)), logs, "-o", tmp_path / "killed", "-j", "2")
+        lines, delay_s = int(rng.integers(0, 3)), float(rng.uniform(0.0, 0.6))
+        killed_after(lines, delay_s, logs, "-o", tmp_path / "killed", "-j", "2")
         tables(tmp_path / "killed")  # it opens, and is sound
     last = run_audit(logs, "-o", tmp_path / "killed", "-j", "2")
     assert last.returncode == undisturbed.returncode

@@ -175,3 +175,32 @@ def test_ten_thousand_logs_fit_in_five_megabytes_with_a_row_each() -> None:
 def test_the_same_campaign_gives_the_same_bytes() -> None:
     for report in (campaign_html, campaign_json, campaign_junit, campaign_markdown):
         assert report.render(large(200)) == report.render(large(200))
+
+
+def test_junit_keeps_to_the_schema_that_ci_servers_read() -> None:
+    """Elements and attributes of the schema of Jenkins, which GitLab and others follow."""
+    known = {
+        "testsuites": {"name", "time", "tests", "failures", "disabled", "errors"},
+        "testsuite": {
+            "name", "tests", "failures", "errors", "time", "disabled", "skipped", "timestamp",
+            "hostname", "id", "package",
+        },
+        "testcase": {"name", "assertions", "time", "classname", "status"},
+        "error": {"type", "message"}, "failure": {"type", "message"}, "skipped": {"message"},
+    }  # fmt: skip
+    logs = [
+        log("a", verdict="failed", findings=(finding("bias", "imu0.x"),)),
+        log("b", verdict=None, error_kind="unreadable", error="cut"),
+        log("c", verdict="undecided", whole=False, bytes_lost=1),
+        log("d", duration_s=None),
+    ]
+    root = ET.fromstring(campaign_junit.render(campaign(*logs)))  # noqa: S314  our own text
+    assert root.tag == "testsuites"
+    for element in root.iter():
+        assert set(element.attrib) <= known[element.tag], element.tag
+    (suite,) = root
+    told = [int(suite.attrib[name]) for name in ("tests", "failures", "errors", "skipped")]
+    assert told == [4, 1, 1, 1]
+    assert [[child.tag for child in case] for case in suite] == [
+        ["failure"], ["error"], ["skipped"], [],
+    ]  # fmt: skip
