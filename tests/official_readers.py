@@ -196,5 +196,5 @@ def table(path: Path) -> Columns:
     found: dict[str, dict[str, Any]] = defaultdict(lambda: {"time_ns": time_ns})
     for name, values in columns.items():
         source, _, axis = name.rpartition(".")
-        found[source][axis] = values
+        found[source or "table"][axis] = values
     return found

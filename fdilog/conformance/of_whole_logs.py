@@ -9,7 +9,7 @@ import numpy as np
 
 from fdilog.config import Config
 from fdilog.conformance.claims import FASTEST_RAD_S, attempt, require, samples
-from fdilog.conformance.examples import Example
+from fdilog.conformance.examples import Columns, Example
 from fdilog.opening import HEAD_BYTES
 from fdilog.recording import Recording
 from fdilog.registry import Reader
@@ -69,7 +69,11 @@ def it_reads_what_the_official_library_reads(
     recording = whole_log(reader, example, folder)
     if example.official is None:
         return
-    theirs = example.official(folder / example.file_name)
+    same_gyros(recording, example.official(folder / example.file_name))
+
+
+def same_gyros(recording: Recording, theirs: Columns) -> None:
+    """Require of every gyro what another program reads of it, to the last bit, and none more."""
     ours = {stream.name: stream for stream in recording.streams}
     gyros = set(samples(recording))
     require(gyros <= set(theirs), f"the official library reads no {sorted(gyros - set(theirs))}")
