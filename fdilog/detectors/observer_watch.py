@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import ObserverSettings
+from fdilog.detectors.identification import identify_model
 from fdilog.detectors.observer import (
     ObserverDesign,
     assess_gain,
     design_observer,
     held_step,
-    identify_model,
     observer_residual,
     propagate,
 )
