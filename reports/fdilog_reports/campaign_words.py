@@ -95,7 +95,7 @@ def lost(log: LogEntry) -> str:
 
 def why_not(log: LogEntry) -> str:
     """Say why a log has no verdict."""
-    return shown(log.error or "not done yet", 160)
+    return shown(log.error or "not done yet", 300)
 
 
 def headline(campaign: Campaign) -> tuple[str, str]:

@@ -13,6 +13,7 @@ import fdilog
 from fdilog.analysis import SCHEMA, Analysis
 from fdilog.finding import Finding, Interval, Size
 from fdilog.recording import Problem
+from fdilog.revealed import revealed
 
 suffix = ".json"
 
@@ -110,6 +111,18 @@ def result(analysis: Analysis) -> dict[str, Any]:
             "detectable": analysis.isolability.detectable,
             "groups": analysis.isolability.groups,
         },
+        "revealed": [
+            {
+                "channels": group.channels,
+                "rate_hz": group.rate_hz,
+                "shortest_s": group.shortest_s,
+                "windows": [
+                    {"length_s": one.length_s, "bias_rad_s": one.bias_rad_s}
+                    for one in group.windows
+                ],
+            }
+            for group in revealed(analysis.table, analysis.evidence)
+        ],
         "verdict": analysis.verdict,
         "findings": [finding_result(finding) for finding in analysis.findings],
         "part": {

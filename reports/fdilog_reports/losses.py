@@ -13,7 +13,7 @@ MOST_MARKS = 500
 def loss_strip(analysis: Analysis) -> tuple[Span, ...]:
     """Place every loss that has an offset; nothing where none has."""
     size = analysis.log.bytes
-    spans = []
+    spans: list[Span] = []
     for problem in analysis.completeness.problems:
         if problem.note or problem.offset is None or not 0 <= problem.offset <= size or not size:
             continue

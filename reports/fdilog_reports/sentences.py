@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Finding, Size
+from fdilog.revealed import revealed
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
@@ -311,10 +312,41 @@ def blind_spots(analysis: Analysis) -> list[str]:
             f"{listed(witnesses)} {'is' if len(witnesses) == 1 else 'are'} derived, not measured by"
             " a gyro of its own: a witness for faults that last seconds, blind to short ones."
         )
+    said += limits(analysis)
     said += _sharpness(analysis)
     tolerance = figure(analysis.config.tolerance.bias_deg_s)
     said.append(f"Errors below the tolerance of {tolerance} deg/s are not called failures.")
     return said
+
+
+def limits(analysis: Analysis) -> list[str]:
+    """Say how large and how long a constant error must be to show at this log's rate."""
+    groups = revealed(analysis.table, analysis.evidence)
+    bounded = [group for group in groups if group.shortest_s is not None]
+    if not bounded:
+        if not groups:
+            return []
+        return [f"At {figure(min(g.rate_hz for g in groups))} Hz no window bounds any error."]
+    sizes: dict[float, list[float]] = {}
+    for group in bounded:
+        for one in group.windows:
+            if one.bias_rad_s is not None:
+                sizes.setdefault(one.length_s, []).append(one.bias_rad_s)
+    everywhere = [length for length, found in sorted(sizes.items()) if len(found) == len(bounded)]
+    parts = [
+        f"{figure(DEG_PER_RAD * max(sizes[length]), 2)} deg/s if it lasts {figure(length)} s"
+        for length in dict.fromkeys((*everywhere[:1], *everywhere[-1:]))
+    ]
+    shortest = figure(max(group.shortest_s or 0.0 for group in bounded))
+    rate = figure(min(group.rate_hz for group in bounded))
+    shows = f"a constant error shows from {', or '.join(parts)}; " if parts else ""
+    return [f"At {rate} Hz {shows}what lasts less than {shortest} s can pass unseen."]
+
+
+def is_slow(analysis: Analysis) -> bool:
+    """Whether the log is too slow for the shortest windows that were asked for."""
+    shortest = [group.shortest_s for group in revealed(analysis.table, analysis.evidence)]
+    return any(one is None or one > min(analysis.config.windows.lengths_s) for one in shortest)
 
 
 def _sharpness(analysis: Analysis) -> list[str]:

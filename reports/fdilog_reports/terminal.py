@@ -48,6 +48,8 @@ def show(analysis: Analysis, console: Console) -> None:
     console.print(Text(seen.verdict.sentence))
     for note in seen.verdict.notes:
         console.print(Text(note, "yellow"))
+    for limit in seen.limits if seen.slow else ():
+        console.print(Text(limit, "dim"))
     console.print(Text(short_facts(seen), "dim"))
     if analysis.findings:
         console.print()

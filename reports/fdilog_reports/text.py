@@ -24,6 +24,8 @@ def render(analysis: Analysis, *, brief: bool = False) -> str:
     lines = [head, *(f"  {note}" for note in seen.verdict.notes)]
     if [finding.sentence for finding in seen.findings] != [seen.verdict.sentence]:
         lines += [f"  {finding.number}. {finding.sentence}" for finding in seen.findings]
+    if seen.slow:
+        lines += [f"  {sentence}" for sentence in seen.limits]
     if seen.findings_left_out:
         lines.append(f"  {seen.findings_left_out}")
     lines += [f"  The autopilot: {_quote(quote)}." for quote in seen.autopilot[:MOST_QUOTES]]

@@ -78,6 +78,8 @@ class Report:
     agreement: Agreement
     detectability: Detectability
     blind_spots: tuple[str, ...]
+    limits: tuple[str, ...]
+    slow: bool
     clocks: tuple[ConstantRow, ...]
     calibration: tuple[ConstantRow, ...]
     autopilot: tuple[QuoteRow, ...]
@@ -116,6 +118,8 @@ def report(analysis: Analysis) -> Report:
         agreement=agreement(analysis),
         detectability=detectability(analysis),
         blind_spots=tuple(sentences.blind_spots(analysis)),
+        limits=tuple(sentences.limits(analysis)),
+        slow=sentences.is_slow(analysis),
         clocks=clock_rows(analysis),
         calibration=calibration_rows(analysis),
         autopilot=quote_rows(analysis),
