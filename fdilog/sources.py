@@ -21,6 +21,7 @@ from fdilog.witness import Witness, attitude_stream, find_witness
 
 RAD_S = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3}
 AXIS_NAMES = "xyz"
+MOST_EXPLAINED = 3
 MOST_LISTED = 20
 # Two gyros differ by biases and noise of several quantisation steps: while they move, all axes of
 # two sensors are equal to the last bit by chance alone, once in hundreds of records. Those of one
@@ -223,9 +224,12 @@ def _nothing_found(recording: Recording, infos: list[SourceInfo]) -> str:
         what = f"streams: {', '.join(names[:MOST_LISTED]) or 'none'}"
         if len(names) > MOST_LISTED:
             what += f" and {len(names) - MOST_LISTED} more"
+    # A note that begins with a stream's name says why nothing was found in it.
+    streams = tuple(f"{stream.name} " for stream in recording.streams)
+    of_streams = [p.what for p in recording.problems if p.note and p.what.startswith(streams)]
     losses = [problem.what for problem in recording.problems if not problem.note]
-    lost = f"; {losses[0]}" if losses else ""
-    return f"{recording.path}: no gyro channels; {what}{lost}"
+    why = "".join(f"; {text}" for text in (*of_streams[:MOST_EXPLAINED], *losses[:1]))
+    return f"{recording.path}: no gyro channels; {what}{why}"
 
 
 def _candidates(recording: Recording, config: Config) -> list[Gyro]:
