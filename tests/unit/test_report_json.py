@@ -72,7 +72,8 @@ def test_keys_come_in_the_order_of_the_contract() -> None:
     result = json.loads(report.render(failed_analysis()))
     assert list(result) == [
         "schema", "fdilog_version", "config_sha256", "log", "completeness", "sources", "table",
-        "clocks", "calibration", "isolability", "verdict", "findings", "part", "autopilot",
+        "clocks", "calibration", "isolability", "revealed", "verdict", "findings", "part",
+        "autopilot",
     ]  # fmt: skip
     assert list(result["log"]) == [
         "path", "format", "bytes", "sha256", "start_utc", "duration_s", "vehicle",
