@@ -109,14 +109,14 @@ def _complain(text: str) -> None:
 
 def _note(text: str) -> None:
     """Write a line to standard error."""
-    from fdilog.visible import visible
+    from fdilog.escapes import visible
 
     typer.echo(visible(text), err=True)
 
 
 def _print(text: str) -> None:
     """Write lines of text to standard output; JSON goes out as it is."""
-    from fdilog.visible import visible_lines
+    from fdilog.escapes import visible_lines
 
     typer.echo(visible_lines(text), nl=False)
 
@@ -361,7 +361,7 @@ def _progress(log: Path, place: str = "", *, shown: bool) -> Iterator[object]:
     from rich.console import Console
     from rich.text import Text
 
-    from fdilog.visible import visible
+    from fdilog.escapes import visible
 
     console = Console(stderr=True)
     name = Text(f"{place}{visible(log.name)}", no_wrap=True, overflow="ellipsis")

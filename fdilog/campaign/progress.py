@@ -12,7 +12,7 @@ from typing import IO, Any
 
 from fdilog.campaign.audit import Progress
 from fdilog.campaign.summary import Campaign
-from fdilog.visible import visible
+from fdilog.escapes import visible
 
 STYLE = {"failed": "red", "healthy": "green", "undecided": "yellow", "not analysed": "magenta"}
 MOST_NAMED = 10
