@@ -6,10 +6,14 @@ from urllib.parse import quote
 
 from fdilog.analysis import Analysis
 from fdilog_reports.pictures import pictures
+from fdilog_reports.strip import lines, strip
 from fdilog_reports.template import Verbatim, markdown_environment
 from fdilog_reports.view import report
 
 suffix = ".md"
+
+STRIP_WIDTH = 60
+"""Characters of the timeline: forums show some 80 without scrolling."""
 
 _TITLE = {
     "timeline.svg": "What was known of each channel, and when",
@@ -33,8 +37,13 @@ def _render(analysis: Analysis, names: list[str], folder: str) -> str:
         Verbatim(f"![{_TITLE[name]}]({quote(folder, errors='surrogateescape')}/{name})")
         for name in names
     ]
+    drawn = strip(analysis, STRIP_WIDTH)
     return (
         markdown_environment()
         .get_template("report.md")
-        .render(report=report(analysis), pictures=images)
+        .render(
+            report=report(analysis),
+            pictures=images,
+            strip="\n".join(lines(drawn)) if drawn else "",
+        )
     )

@@ -92,6 +92,17 @@ def strip(analysis: Analysis, width: int, *, ascii_only: bool = False) -> Strip 
     )
 
 
+def lines(drawn: Strip, *, ascii_only: bool = False) -> list[str]:
+    """Write a strip as lines of plain text: channels, times, and what the marks mean."""
+    width = max(len(lane.channel) for lane in drawn.lanes)
+    told = [
+        f"{lane.channel:<{width}} {''.join(run.text for run in lane.runs)}  {lane.status}"
+        for lane in drawn.lanes
+    ]
+    key = "   ".join(f"{MARKS[state][ascii_only]} {state}" for state in drawn.states)
+    return [*told, f"{'':<{width}} {drawn.times}", f"{'':<{width}} {key}".rstrip()]
+
+
 def _chosen(analysis: Analysis) -> list[int]:
     """Choose all gyros, or, of very many, first those that are accused, then those in doubt."""
     rank = ("failed", "suspect", "undecided", "insufficient", "healthy")

@@ -9,6 +9,7 @@ from fdilog.analysis import Analysis
 from fdilog.finding import Finding
 from fdilog_reports.sentences import KIND_NAME, negated, printed_size, suspects
 from fdilog_reports.strip import MARKS, strip
+from fdilog_reports.text import asides
 from fdilog_reports.view import Report, report
 from fdilog_reports.words import flight_time, several
 
@@ -56,6 +57,8 @@ def show(analysis: Analysis, console: Console) -> None:
         _show_findings(analysis, seen, console)
     _show_strip(analysis, console)
     _show_losses(seen, console)
+    for sentence in asides(seen):
+        console.print(Text(sentence, "dim"))
 
 
 def short_facts(seen: Report) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from fdilog.analysis import Analysis
 from fdilog_reports.rows import QuoteRow
-from fdilog_reports.view import report
+from fdilog_reports.view import Report, report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,14 +24,20 @@ def render(analysis: Analysis, *, brief: bool = False) -> str:
     lines = [head, *(f"  {note}" for note in seen.verdict.notes)]
     if [finding.sentence for finding in seen.findings] != [seen.verdict.sentence]:
         lines += [f"  {finding.number}. {finding.sentence}" for finding in seen.findings]
-    if seen.slow:
-        lines += [f"  {sentence}" for sentence in seen.limits]
     if seen.findings_left_out:
         lines.append(f"  {seen.findings_left_out}")
-    lines += [f"  The autopilot: {_quote(quote)}." for quote in seen.autopilot[:MOST_QUOTES]]
-    if len(seen.autopilot) > MOST_QUOTES:
-        lines.append(f"  The autopilot: {len(seen.autopilot) - MOST_QUOTES} more; see the report.")
+    lines += [f"  {sentence}" for sentence in asides(seen)]
     return "\n".join(lines) + "\n"
+
+
+def asides(seen: Report) -> list[str]:
+    """Say what a slow log could not have shown, and what the autopilot itself complained of."""
+    said = list(seen.limits) if seen.slow else []
+    said += [f"The autopilot: {_quote(quote)}." for quote in seen.autopilot[:MOST_QUOTES]]
+    rest = len(seen.autopilot) - MOST_QUOTES
+    if rest > 0:
+        said.append(f"The autopilot: {rest} more, in the reports (-o DIR) and in --json.")
+    return said
 
 
 def _quote(quote: QuoteRow) -> str:

@@ -162,10 +162,15 @@ def between(low: str, high: str) -> str:
 def flight_time(start_s: float, end_s: float | None = None) -> str:
     """Print an instant or a span of flight time."""
     if end_s is None:
-        return f"{start_s:.{_time_places(0.0)}f} s"
+        return f"{_fixed(start_s, _time_places(0.0))} s"
     places = _time_places(end_s - start_s)
-    start, end = f"{start_s:.{places}f} s", f"{end_s:.{places}f} s"
+    start, end = f"{_fixed(start_s, places)} s", f"{_fixed(end_s, places)} s"
     return f"at {start}" if start == end else f"from {start} to {end}"
+
+
+def _fixed(value: float, places: int) -> str:
+    """Print so many decimals, and no minus before zero."""
+    return f"{round(value, places) + 0.0:.{places}f}"
 
 
 def _time_places(span_s: float) -> int:

@@ -131,6 +131,17 @@ def test_suspects_that_cannot_be_told_apart_have_a_size_without_sign() -> None:
     assert finding[4:6] == ["3.0 deg/s", "2.7 to 3.3 deg/s (99.9 %)"]
 
 
+def test_the_timeline_is_in_characters_that_any_forum_shows() -> None:
+    text = markdown.render(failed_analysis())
+    block = next(
+        token.content for token in rendered(text) if token.type == "fence" and token.info == "text"
+    )
+    line = next(line for line in block.splitlines() if line.startswith("imu1.y"))
+    assert line.endswith("failed")
+    assert 8 <= line.count("█") <= 12
+    assert max(map(len, block.splitlines())) < 80
+
+
 def test_pictures_are_linked_and_without_them_nothing_is() -> None:
     text, drawn = markdown.render_illustrated(pair_analysis(), "a (1) <b>_files")
     images = [
