@@ -262,10 +262,16 @@ def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
     rows = np.flatnonzero(table.valid[:, channel])
     size = np.abs(values[rows])
     third = max(FEWEST_AROUND, round(NEIGHBOURHOOD_S * table.channels[channel].rate_hz)) // 3
+    level = np.zeros(-(-len(size) // third))
+    whole = max(0, len(size) // third - 2)
+    if whole:
+        around = np.lib.stride_tricks.sliding_window_view(size, 3 * third)[::third]
+        level[1 : 1 + whole] = np.quantile(around[:whole], LEVEL, axis=1)
+    for number in {0, *range(1 + whole, len(level))} if len(level) else ():
+        first = number * third
+        level[number] = np.quantile(size[max(0, first - third) : first + 2 * third], LEVEL)
     levels = np.zeros(len(values))
-    for first in range(0, len(size), third):
-        around = size[max(0, first - third) : first + 2 * third]
-        levels[rows[first : first + third]] = np.quantile(around, LEVEL)
+    levels[rows] = np.repeat(level, third)[: len(size)]
     return levels
 
 
