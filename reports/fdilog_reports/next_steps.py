@@ -38,9 +38,11 @@ _ONE_OF_SEVERAL = (
 
 def next_step(finding: Finding, analysis: Analysis) -> str:
     """Say what to look at or to do next."""
-    channels = {channel.name: channel for channel in analysis.table.channels}
+    source_of = {c.name: c.source for c in analysis.table.channels if not c.derived}
     first = finding.suspects[0]
-    source = shown(channels[first].source) if first in channels else shown(first)
+    # Gyros that all come from one table, or one device, are spoken of by themselves.
+    several = len(set(source_of.values())) > 1
+    source = shown(source_of.get(first, first) if several else first)
     if finding.isolated:
         name = shown(first) if len(finding.suspects) == 1 else source
         return _ISOLATED[finding.kind].format(name=name, source=source)

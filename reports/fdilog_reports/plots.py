@@ -66,7 +66,7 @@ def plots(analysis: Analysis) -> Plots | None:
     pack = Pack(start_s=axis.start_s, span_s=axis.end_s - axis.start_s)
     series = {residual.channel: residual for residual in residuals(analysis)}
     drawing = _Drawing(analysis, pack, most=_most(analysis, len(series)))
-    rates = RateAxis(tolerance=tolerance, top=1.1 * max(3.0 * tolerance, *_peaks(series)))
+    rates = RateAxis(tolerance=tolerance, top=1.5 * max(3.0 * tolerance, *_peaks(series)))
     facts: dict[str, Any] = {
         "utc": _epoch_ms(analysis.log.start_utc),
         "span": [axis.start_s, axis.end_s],
@@ -84,7 +84,7 @@ def plots(analysis: Analysis) -> Plots | None:
                     drawing.panel(series[members[0]], members) for members in _panels(block, series)
                 ],
             }
-            for block in blocks(table.axes)
+            for block in _groups(table.axes)
         ],
         "findings": [
             {
@@ -108,6 +108,13 @@ def plots(analysis: Analysis) -> Plots | None:
         guaranteed=drawing.guaranteed_words,
         panels=sum(1 + len(group["panels"]) for group in facts["groups"]),
     )
+
+
+def _groups(axes: Floats) -> list[tuple[int, ...]]:
+    """Channels that are drawn over one another: those that check each other, any other alone."""
+    checked = blocks(axes)
+    alone = set(range(len(axes))).difference(*checked)
+    return sorted([*checked, *((i,) for i in alone)])
 
 
 def _panels(block: Sequence[int], series: dict[int, Residual]) -> list[list[int]]:

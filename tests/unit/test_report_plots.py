@@ -43,6 +43,14 @@ def test_a_pair_has_one_residual() -> None:
     assert facts["findings"][0]["state"] == "suspect"
 
 
+def test_a_gyro_that_nothing_checks_is_drawn_all_the_same() -> None:
+    alone = analysis(table(sources=1), evidence=(), verdict="insufficient")
+    facts = json.loads(plots(alone).facts)  # type: ignore[union-attr]
+    assert [(group["channels"], group["panels"]) for group in facts["groups"]] == [
+        ([0], []), ([1], []), ([2], []),
+    ]  # fmt: skip
+
+
 def test_a_figure_needs_samples() -> None:
     empty = analysis(table(duration_s=0.0), evidence=(), verdict="insufficient")
     assert plots(empty) is None
@@ -106,6 +114,8 @@ def test_a_bar_stands_outside_the_band_where_the_interval_is_outside_the_toleran
 def test_what_to_do_names_the_device_or_all_suspects() -> None:
     made = failed_analysis()
     assert "imu1 should be replaced" in next_step(made.findings[0], made)
+    single = analysis(table(sources=1), findings=(bias(("imu0.x",)),), verdict="failed")
+    assert "imu0.x should be replaced" in next_step(single.findings[0], single)
     pair = pair_analysis()
     assert next_step(pair.findings[0], pair).startswith("Treat all of imu0.x and imu1.x as suspect")
 

@@ -175,14 +175,16 @@
       shade(figure, group.channels);
       const head = caption(parent, "Rate, deg/s");
       const shown = [];
-      for (const i of group.channels) {
-        const channel = channels[i];
+      // A source has its colour everywhere, unless it has several channels here.
+      const own = group.channels.map((i) => sources.indexOf(channels[i].source));
+      const distinct = new Set(own).size === own.length;
+      for (const [place, i] of group.channels.entries()) {
+        const channel = channels[i], colour = `--source-${(distinct ? own[place] : place) % 6}`;
         const source = new B.ColumnDataSource({ data: zigzag(channel, (y) => y) });
         const glyph = figure.line({ field: "x" }, { field: "y" }, {
           source, line_width: channel.status === "failed" ? 1.8 : 1.2, line_join: "round",
-          line_dash: channel.derived ? [4, 3] : [],
+          line_dash: channel.derived || (!distinct && place > 5) ? [4, 3] : [],
         });
-        const colour = `--source-${sources.indexOf(channel.source) % 6}`;
         paint(glyph.glyph, { line_color: colour });
         const key = made("button", "key-button");
         key.type = "button";
