@@ -326,21 +326,24 @@ def limits(analysis: Analysis) -> list[str]:
     if not bounded:
         if not groups:
             return []
-        return [f"At {figure(min(g.rate_hz for g in groups))} Hz no window bounds any error."]
+        return ["No stretch of the log bounds the error of any channel."]
     sizes: dict[float, list[float]] = {}
     for group in bounded:
         for one in group.windows:
             if one.bias_rad_s is not None:
                 sizes.setdefault(one.length_s, []).append(one.bias_rad_s)
     everywhere = [length for length, found in sorted(sizes.items()) if len(found) == len(bounded)]
+    shown_from: dict[str, float] = {}
+    for length in (*everywhere[:1], *everywhere[-1:]):
+        shown_from.setdefault(figure(DEG_PER_RAD * max(sizes[length]), 2), length)
     parts = [
-        f"{figure(DEG_PER_RAD * max(sizes[length]), 2)} deg/s if it lasts {figure(length)} s"
-        for length in dict.fromkeys((*everywhere[:1], *everywhere[-1:]))
+        f"from {size} deg/s on if it lasts {figure(length)} s"
+        for size, length in shown_from.items()
     ]
     shortest = figure(max(group.shortest_s or 0.0 for group in bounded))
     rate = figure(min(group.rate_hz for group in bounded))
-    shows = f"a constant error shows from {', or '.join(parts)}; " if parts else ""
-    return [f"At {rate} Hz {shows}what lasts less than {shortest} s can pass unseen."]
+    shows = f"a constant error shows {', or '.join(parts)}; " if parts else ""
+    return [f"Logged at {rate} Hz, {shows}what lasts less than {shortest} s can pass unseen."]
 
 
 def is_slow(analysis: Analysis) -> bool:

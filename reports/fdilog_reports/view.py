@@ -164,7 +164,7 @@ def _verdict(analysis: Analysis) -> Verdict:
     unseen = [
         shown(channel.name)
         for channel, status in zip(analysis.table.channels, analysis.status, strict=True)
-        if status == "insufficient"
+        if status == "insufficient" and not channel.derived
     ]
     if unseen and analysis.verdict != "insufficient":
         notes.append(f"Never compared with anything: {listed(unseen)}.")

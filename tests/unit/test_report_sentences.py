@@ -217,6 +217,6 @@ def test_the_autopilot_is_quoted_in_text_and_markdown() -> None:
     made = analysis(autopilot=(quote,) * 5)
     said = made.to_text()
     assert said.count("The autopilot: imu1 flagged unhealthy, from 1.0 s to 2.5 s (IMU[1]).") == 3
-    assert "The autopilot: 2 more; see the report." in said
+    assert "The autopilot: 2 more, in the reports (-o DIR) and in --json." in said
     assert made.to_markdown().count("| imu1 | flagged unhealthy |") == 5
     assert "autopilot" not in analysis().to_text()
