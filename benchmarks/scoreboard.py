@@ -38,6 +38,7 @@ from fdilog.geometry import leave_one_out
 from fdilog.injection import inject
 from fdilog.recording import Recording
 from fdilog.registry import plugins, read
+from fdilog.slopes import scale_over
 from fdilog.table import ChannelTable
 from fdilog.text_table import text_table
 
@@ -292,9 +293,15 @@ def own_truth(table: ChannelTable, fault: Fault) -> float | None:
     """Size of the fault: a bias adds to the channel's own offset over that span. [SI]"""
     if fault.kind == "dropout":
         return fault.end_s - fault.start_s
+    if fault.kind == "scale":
+        # A channel's own scale error over that span multiplies it, as far as the flight shows it.
+        first, last = np.searchsorted(table.time_s, [fault.start_s, fault.end_s])
+        span = (int(first), int(last) + 1)
+        own = scale_over(table.gyros, table.gyros.names.index(fault.channel), span, CONFIG)
+        return (fault.size or 1.0) * (1.0 + (0.0 if own is None else float(own.slope[0])))
     if fault.kind != "bias":
         # What a multiple of noise is relative to is another gyro's, and not known here.
-        return fault.size if fault.kind in ("drift", "scale", "impulse") else None
+        return fault.size if fault.kind in ("drift", "impulse") else None
     derived = [k for k, channel in enumerate(table.channels) if channel.derived]
     row = leave_one_out(table.axes, derived)[table.names.index(fault.channel)]
     inside = (table.time_s >= fault.start_s) & (table.time_s <= fault.end_s)

@@ -304,7 +304,7 @@ def judge(
     from fdilog.biases import bias_findings
     from fdilog.mounting import mounting_findings, mountings, turned_back
     from fdilog.registry import detectors, plugins
-    from fdilog.scales import scale_findings
+    from fdilog.scales import with_scales
     from fdilog.windows import Survey, spans
 
     names = config.detectors.use or _default_order(plugins("detectors"))
@@ -339,10 +339,11 @@ def judge(
     compared = _windowed(sound, chosen, config, progress)
     # An attitude is smoother than any gyro; only gyros tell noise from motion.
     noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
+    scaled = [item for item in compared if item.kind == "scale"]
     compared = [item for item in compared if item.kind == "bias"]
     hearing = None if witness is None else _hearing(witness, testified, config)
     biased = bias_findings(heard, sound, compared, config, hearing)
-    biased += scale_findings(heard, sound, calibration, biased, config)
+    biased = with_scales(heard, sound, scaled, biased, config)
     findings = [
         *mounting_findings(table, mounted.found),
         *of.self_evident_findings(gyros, alone),
@@ -376,6 +377,7 @@ def _windowed(
 ) -> list[Evidence]:
     """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
     from fdilog.alignment import aligned_windows, for_aligned
+    from fdilog.slopes import scale_evidence
     from fdilog.windows import Survey, cut
 
     asked = [(name, detector) for name, detector in chosen if detector.stage == "windows"]
@@ -385,6 +387,7 @@ def _windowed(
         for name, detector in asked:
             progress(f"{name}, {windows.length_s:g} s windows")
             found.extend(detector.detect(survey))
+        found.append(scale_evidence(survey))
     biased = [item for item in found if item.kind == "bias"]
     leading = [item for item in biased if item.detector == biased[0].detector]
     if (aligned := aligned_windows(table, leading)) is not None:

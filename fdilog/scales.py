@@ -1,65 +1,84 @@
-"""Scale errors that no window need show as a bias."""
+"""From evidence of scale errors to findings, in place of the biases that they look like."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import numpy as np
-
-from fdilog.biases import finding_of
-from fdilog.calibration import Calibration
+from fdilog.accusations import Cluster, accusations, clusters, region
 from fdilog.config import Config
-from fdilog.edges import best_scale
-from fdilog.finding import Finding
-from fdilog.shapes import Fault, other_shape
+from fdilog.edges import Shape, best_ramp, best_scale, best_step
+from fdilog.finding import Evidence, Finding
+from fdilog.shapes import FEWEST_SHAPED, OTHER_SHAPE, disagreement, size_of
+from fdilog.slopes import scale_over
 from fdilog.table import ChannelTable
 from fdilog.traces import trace_of
 
+# A bias of which this part lies in the span of a scale error is what the latter looks like.
+COVERED = 0.5
 
-def scale_findings(
+
+def with_scales(
     table: ChannelTable,
     calibrated: ChannelTable,
-    calibration: Sequence[Calibration],
+    evidence: Sequence[Evidence],
     known: Sequence[Finding],
     config: Config,
 ) -> list[Finding]:
-    """Find scale errors of a whole flight, which no window need show as a bias.
+    """Add findings of scale errors to those of biases, and take out the biases that they explain.
 
-    The calibration leaves in what is beyond the scale tolerance. Of several sources of an axis the
-    one that is off from their median alone is isolated; two are both suspects. The finding stands
-    if a scale error explains the residual far better than a step, and its interval lies beyond the
-    tolerance.
+    A finding stands if over its own span the scale error is still beyond tolerance for sure, and
+    explains what the channel is off by far better than any step or ramp.
     """
-    findings = []
-    for axis in range(3):
-        column = np.eye(3)[axis]
-        columns = [
-            k
-            for k, c in enumerate(table.channels)
-            if not c.derived and np.array_equal(c.axis, column)
-        ]
-        relative = {c.source: c.scale[axis] for c in calibration}
-        scales = np.array([relative.get(table.channels[k].source, 1.0) for k in columns])
-        if len(columns) < 2 or len(relative) < len(columns) - 1:
-            continue
-        off = np.abs(scales / np.median(scales) - 1.0) > config.tolerance.scale
-        pair = len(columns) == 2 and abs(scales[1] / scales[0] - 1.0) > config.tolerance.scale
-        suspects = frozenset(columns if pair else np.array(columns)[off].tolist())
-        if not suspects or (len(suspects) > 1 and not pair):
-            continue
-        trace = trace_of(calibrated, min(suspects), frozenset(), 0, len(table.time_s))
-        names = {table.names[k] for k in suspects}
-        if trace is None or any(names & set(finding.suspects) for finding in known):
-            continue
-        means = trace.averaged()
-        shape = other_shape(means, best_scale(means.residual, means.predicted))
-        if shape is None:
-            continue
-        fault = Fault(suspects=suspects, shape=shape, longest_s=0.0)
-        finding = finding_of(table, fault, config)
-        size = finding.size
-        least = 0.0 if size is None else max(size.low - 1.0, 1.0 - size.high)
-        if least > config.tolerance.scale:
-            findings.append(replace(finding, detectors=("parity",)))
+    said = [accusation for item in evidence for accusation in accusations(item)]
+    findings = list(known)
+    for cluster in clusters(table.time_s, said):
+        shape = _shape(calibrated, cluster)
+        found = None if shape is None else _finding(table, cluster, shape, config)
+        if found is not None:
+            findings = [one for one in findings if not _explains(found, one)]
+            findings.append(found)
     return findings
+
+
+def _shape(table: ChannelTable, cluster: Cluster) -> Shape | None:
+    """Find the span of a scale error, if it is one."""
+    first, last = region(table, cluster.start, cluster.stop, cluster.longest_s)
+    trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
+    if trace is None:
+        return None
+    trace = trace.averaged()
+    shape = best_scale(trace.residual, trace.predicted)
+    if shape.stop - shape.start < FEWEST_SHAPED:
+        return None
+    noise, dof = trace.noise_about(shape)
+    others = (best_step(trace.residual), best_ramp(trace.residual, trace.time_s))
+    more = shape.gain - max(other.gain for other in others)
+    return trace.placed(shape) if dof > 0 and more > OTHER_SHAPE * noise else None
+
+
+def _finding(table: ChannelTable, cluster: Cluster, shape: Shape, config: Config) -> Finding | None:
+    found = scale_over(table, min(cluster.suspects), (shape.start, shape.stop), config)
+    if found is None or not found.dof[0] > 0.0:
+        return None
+    slope = float(found.slope[0])
+    half_width = float(found.half_width(config.windows.confidence)[0])
+    if abs(slope) - half_width <= config.tolerance.scale:
+        return None
+    names = tuple(table.names[channel] for channel in sorted(cluster.suspects))
+    return Finding(
+        kind="scale",
+        suspects=names,
+        start_s=float(table.time_s[shape.start]),
+        end_s=float(table.time_s[shape.stop - 1]),
+        size=size_of(1.0 + slope, half_width, "scale", config),
+        detectors=tuple(sorted({member.detector for member in cluster.members})),
+        detail=disagreement(names),
+    )
+
+
+def _explains(scale: Finding, other: Finding) -> bool:
+    """Tell whether a finding is what a scale error looks like."""
+    if not set(scale.suspects) & set(other.suspects):
+        return False
+    together = min(scale.end_s, other.end_s) - max(scale.start_s, other.start_s)
+    return together >= COVERED * (other.end_s - other.start_s)

@@ -1,4 +1,4 @@
-"""Drift and scale: faults of another shape than a step, told from one and measured."""
+"""Drift: a fault of another shape than a step, told from one and measured."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from fdilog.accusations import region
 from fdilog.config import Config
-from fdilog.edges import Shape, best_ramp, best_scale, best_step
+from fdilog.edges import Shape, best_ramp, best_step
 from fdilog.finding import SIZE_UNIT, Kind, Size
 from fdilog.noise import windowed_mean
 from fdilog.student import student_quantile
@@ -44,22 +44,23 @@ class Fault:
 
 
 def shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
-    """Return the fault as a drift or a scale error where that explains far more than a step."""
-    duration_s = float(table.time_s[fault.stop - 1] - table.time_s[fault.start])
-    around = region(table, fault.start, fault.stop, max(duration_s, fault.longest_s))
-    channel = min(fault.suspects)
-    trace = trace_of(table, channel, fault.removed, *around)
-    if trace is None:
-        return fault
-    found = other_shape(trace, best_ramp(trace.residual, trace.time_s))
-    if found is None:
-        # A scale error shows wherever the rate is high, not only where it was noticed.
-        whole = trace_of(table, channel, fault.removed, 0, len(table.time_s)) or trace
-        whole = whole.averaged()
-        scale = best_scale(whole.residual, whole.predicted)
-        if abs(scale.size) > config.tolerance.scale:
-            found = other_shape(whole, scale)
-    return fault if found is None else replace(fault, shape=found)
+    """Return the fault as a drift where that explains far more than a step.
+
+    A drift is noticed late, when it has grown: the region in which it is looked for is widened as
+    long as it reaches to its edges, up to the longest windows.
+    """
+    reach_s = max(float(table.time_s[fault.stop - 1] - table.time_s[fault.start]), fault.longest_s)
+    while True:
+        around = region(table, fault.start, fault.stop, reach_s)
+        trace = trace_of(table, min(fault.suspects), fault.removed, *around)
+        if trace is None:
+            return fault
+        ramp = best_ramp(trace.residual, trace.time_s)
+        found = other_shape(trace, ramp)
+        inside = ramp.start > 0 and ramp.stop < len(trace.rows)
+        if inside or reach_s > max(config.windows.lengths_s):
+            return fault if found is None else replace(fault, shape=found)
+        reach_s *= 2.0
 
 
 def other_shape(trace: Trace, shape: Shape) -> Shape | None:
@@ -72,16 +73,13 @@ def other_shape(trace: Trace, shape: Shape) -> Shape | None:
 
 
 def shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
-    """Rate of drift or scale factor of the first suspect, with its Student interval."""
+    """Rate of drift of the first suspect, with its Student interval."""
     trace = trace_of(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
     if trace is None:
         return None
-    if fault.shape.kind == "scale":
-        trace = trace.averaged()
     form = trace.form(replace(fault.shape, start=0, stop=len(trace.rows)))
-    if fault.shape.kind == "drift":
-        # A free level, since the onset is not known to the sample.
-        form = form - form.mean()
+    # A free level, since the onset is not known to the sample.
+    form = form - form.mean()
     power = float((form**2).sum())
     if power <= 0.0:
         return None
@@ -92,9 +90,7 @@ def shaped_size(table: ChannelTable, fault: Fault, config: Config) -> Size | Non
         return None
     noise = float(looks.covariance[0, 0, 0]) * len(form)
     quantile = float(student_quantile(looks.dof, config.windows.confidence)[0])
-    factor = 1.0 if fault.shape.kind == "scale" else 0.0
-    half_width = quantile * float(np.sqrt(noise / power))
-    return size_of(factor + size, half_width, fault.shape.kind, config)
+    return size_of(size, quantile * float(np.sqrt(noise / power)), fault.shape.kind, config)
 
 
 def size_of(estimate: float, half_width: float, kind: Kind, config: Config) -> Size:

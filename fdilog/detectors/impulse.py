@@ -40,8 +40,9 @@ FEWEST_PEAKS = 20
 MIDDLING_DECAY = 0.3
 SECONDS_PER_HOUR = 3600.0
 # A peak counts as confirmed by another channel of the axis that is off by this part of it too, the
-# peak itself left out of what is expected there; and by any channel of another source that stands
-# out this far above its own level, which vibration alone does once in a thousand readings.
+# peak itself left out of what is expected there; and by any channel of another source whose
+# deviation from its neighbours stands out this far above its own level, as vibration alone does
+# once in a thousand readings.
 CONFIRMED = 0.3
 CONFIRMING_LEVELS = 3.0
 # Around an impulse the channel is where the others are: the means over two readings before and
@@ -196,13 +197,12 @@ def _confirmed(
     size = np.abs(axis.off[peaks, place])
     left = np.abs(np.delete(axis.without(place, peaks), place, axis=1))
     confirmed = np.asarray((left > CONFIRMED * size[:, None]).any(axis=1), bool)
-    source = table.channels[axis.channels[place]].source
+    channel = int(axis.channels[place])
+    source = table.channels[channel].source
     for other, described in enumerate(table.channels):
-        if other in axis.channels.tolist():
-            continue
         shown = np.abs(axis.deviation[:, other])
         rows = np.flatnonzero(table.valid[:, other])
-        if not len(rows):
+        if other == channel or not len(rows):
             continue
         here = np.searchsorted(rows, peaks)
         beside = rows[np.clip(here[:, None] + np.array([-1, 0, 1]), 0, len(rows) - 1)]
