@@ -293,12 +293,16 @@ def blind_spots(analysis: Analysis) -> list[str]:
     alone = [
         shown(c.name) for c in analysis.table.channels if c.name not in compared and not c.derived
     ]
-    if alone:
-        said.append(
-            f"{listed(alone)}: nothing else in this log measures along"
-            f" {'its axis' if len(alone) == 1 else 'their axes'}, so a wrong rate would not have"
-            " shown."
-        )
+    modelled = [shown(name) for name in analysis.config.observer.outputs if shown(name) in alone]
+    for names, so in (
+        ([name for name in alone if name not in modelled], "a wrong rate would not have shown"),
+        (modelled, "only the model of the vehicle could have shown a wrong rate, as its note says"),
+    ):
+        if names:
+            axes = "its axis" if len(names) == 1 else "their axes"
+            said.append(
+                f"{listed(names)}: nothing else in this log measures along {axes}, so {so}."
+            )
     untested = [
         shown(c.name)
         for c, status in zip(analysis.table.channels, analysis.status, strict=True)

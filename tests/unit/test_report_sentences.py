@@ -9,6 +9,7 @@ import pytest
 
 from fdilog.analysis import Part
 from fdilog.autopilot import AutopilotNote
+from fdilog.config import Config
 from fdilog.finding import Finding, Size
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
 from fdilog_reports.view import report
@@ -133,6 +134,19 @@ def test_one_gyro_alone_is_insufficient_and_why() -> None:
     assert (
         "imu0.x, imu0.y and imu0.z: nothing else in this log measures along their axes, so a wrong"
         " rate would not have shown." in blind_spots(made)
+    )
+
+
+def test_a_gyro_that_only_a_model_of_the_vehicle_checks_is_said_to_be() -> None:
+    config = Config().replace("observer", outputs=("imu0.z", "GPS.Spd"))
+    said = blind_spots(analysis(table(sources=1), verdict="insufficient", config=config))
+    assert (
+        "imu0.x and imu0.y: nothing else in this log measures along their axes, so a wrong rate"
+        " would not have shown." in said
+    )
+    assert (
+        "imu0.z: nothing else in this log measures along its axis, so only the model of the vehicle"
+        " could have shown a wrong rate, as its note says." in said
     )
 
 
