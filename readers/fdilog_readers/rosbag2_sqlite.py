@@ -9,7 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from functools import partial
+from functools import cached_property, partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ RESERVED_AT = 20
 # So many rows of a sensor's size stay in the processor's cache while they are sorted.
 ROWS_AT_ONCE = 2048
 FIRST_ID = -(1 << 62)
+MOST_ROWS = (1 << 63) - 1
 # Beyond so many messages in a row that cannot be read, nothing more will come.
 LONGEST_STRIDE = 1 << 32
 
@@ -115,10 +116,11 @@ class _Messages:
         self._query = ""
         self.problems = problems
         self.path = path
+        self.page_bytes = int(self._rows("PRAGMA page_size")[0][0])
         self.name = path.name
-        # Number of the first row of each stretch that is damaged, and how many rows it has.
-        self._disordered: list[tuple[int, int]] = []
-        self._strange: list[tuple[int, int]] = []
+        # Of each stretch that is damaged: where it begins, the next row, and how many it has.
+        self._disordered: list[tuple[int, int, int]] = []
+        self._strange: list[tuple[int, int, int]] = []
         self._counts: Counter[int] = Counter()
         self._topic_of: dict[int, Topic] = {}
         definitions = self._definitions()
@@ -171,26 +173,31 @@ class _Messages:
         self._tell(f"rows of {self.name} have impossible numbers", self._disordered)
         self._tell("messages are of topics that are defined nowhere", self._strange)
 
-    def _tell(self, what: str, stretches: list[tuple[int, int]]) -> None:
-        for row, count in stretches[:PLACES_LISTED]:
-            self.problems.append(Problem(what=f"{count} {what}", offset=self._place_of(row)))
-        if more := sum(count for _, count in stretches[PLACES_LISTED:]):
+    def _tell(self, what: str, stretches: list[tuple[int, int, int]]) -> None:
+        for first, following, count in stretches[:PLACES_LISTED]:
+            self._lost(f"{count} {what}", first, following)
+        if more := sum(count for _, _, count in stretches[PLACES_LISTED:]):
             self.problems.append(Problem(what=f"{more} more {what}"))
+
+    def _lost(self, what: str, first: int, following: int) -> None:
+        """Report damage between two rows: from the page of the one to that of the other."""
+        start, end = self._place_of(first), self._place_of(following)
+        lost = None if start is None or end is None else max(self.page_bytes, end - start)
+        self.problems.append(Problem(what=what, offset=start, bytes_lost=lost))
 
     def _place_of(self, row: int) -> int | None:
         """Return where a row's page begins, as far as the file alone can tell. [byte]"""
         try:
-            ((page_bytes,),) = self._rows("PRAGMA page_size")
             ((root,),) = self._rows("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
-            return place_of_row(self.path, int(page_bytes), int(root), row)
+            return place_of_row(self.path, self.page_bytes, int(root), row)
         except (sqlite3.Error, ValueError, UnreadableLogError):
             return None
 
     def _take_one_by_one(self, last: int) -> int:
         """Take the messages before a damaged place; return the last one's number."""
         rows: list[tuple[Any, ...]] = []
-        cursor = self.connection.execute(self._query, (last,))
         try:
+            cursor = self.connection.execute(self._query, (last,))
             while row := cursor.fetchone():
                 rows.append(row)
         except sqlite3.DatabaseError:
@@ -207,7 +214,7 @@ class _Messages:
         good = self._first_readable(last)
         lost = f"; {good - last} messages are lost" if good is not None else ", and so is the rest"
         what = f"{self.name} is damaged ({error}){lost}"
-        self.problems.append(Problem(what=what, offset=self._place_of(last + 1)))
+        self._lost(what, last + 1, last + 1 if good is None else good)
         # Rows fill a page from its end: damage may begin inside the first that can be read again.
         return good
 
@@ -221,16 +228,27 @@ class _Messages:
             middle = (low + high) // 2
             low, high = (low, middle) if self._reads(middle) else (middle, high)
         row = self._reads(high)
-        return int(row[0]) if row and int(row[0]) > last else None
+        return int(row[0]) if row else None
+
+    @cached_property
+    def _last_id(self) -> int:
+        """Number of the last row, which no number that damage made up may exceed."""
+        try:
+            rows = self._rows("SELECT id FROM messages ORDER BY id DESC LIMIT 1")
+        except sqlite3.DatabaseError:
+            rows = []
+        return int(rows[0][0]) if rows else MOST_ROWS
 
     def _reads(self, after: int) -> Sequence[Any] | None:
+        """Read the first row behind a number, if one can be read that damage did not make up."""
         try:
             row: Sequence[Any] | None = self.connection.execute(
                 f"{self._query} LIMIT 1", (after,)
             ).fetchone()
         except sqlite3.DatabaseError:
             return None
-        return row
+        real = row is not None and after < row[0] <= self._last_id and row[1] in self._topic_of
+        return row if real else None
 
     def _take(self, rows: list[tuple[Any, ...]], last: int) -> int:
         """Take rows; return the last one's number, which never goes back.
@@ -238,12 +256,15 @@ class _Messages:
         In a damaged file a number may be anything, and rows may come again without end.
         """
         ids, numbers, times, messages = zip(*rows, strict=True)
-        if ids[0] <= last or ids[-1] - ids[0] != len(ids) - 1:
-            good = _in_order(np.array(ids, np.int64), last)
+        unknown = not self._topic_of.keys() >= set(numbers)
+        if unknown or ids[0] <= last or ids[-1] - ids[0] != len(ids) - 1:
+            good = _in_order(np.array(ids, np.int64), last, self._last_id)
             if not good.all():
-                before = int(ids[int(np.argmin(good)) - 1]) if good[0] else last
                 good[1:] &= good[:-1].copy()  # see `_step_over`
-                self._disordered.append((before + 1, int(np.count_nonzero(~good))))
+                bad = np.flatnonzero(~good)
+                before = int(ids[bad[0] - 1]) if bad[0] else last
+                following = int(ids[bad[-1] + 1]) if bad[-1] + 1 < len(ids) else before + 1
+                self._disordered.append((before + 1, following, len(bad)))
                 rows = list(compress(rows, good.tolist()))
                 return self._take(rows, last) if rows else last
         topic_ids = _integers(numbers)
@@ -252,7 +273,9 @@ class _Messages:
             here = (topic_ids == number).tolist()
             self._counts[number] += sum(here)
             if topic is None:
-                self._strange.append((int(ids[here.index(True)]), sum(here)))
+                first = here.index(True)
+                row = int(ids[first - 1] if first else last) + 1
+                self._strange.append((row, int(ids[-1]), sum(here)))
             elif topic.wanted:
                 times_ns = np.array(list(compress(times, here)), np.int64)
                 self._add(topic, list(compress(messages, here)), times_ns)
@@ -269,14 +292,14 @@ class _Messages:
             topic.add(batch, times_ns[part])
 
 
-def _in_order(ids: NDArray[np.int64], last: int) -> NDArray[np.bool_]:
+def _in_order(ids: NDArray[np.int64], last: int, most: int) -> NDArray[np.bool_]:
     """Tell which rows are numbered after the last one, and before all that come behind them.
 
     What is larger than something behind it is out of place, not all that is behind it.
     """
-    most = np.iinfo(np.int64).max
-    smallest = np.minimum.accumulate(np.where(ids > last, ids, most)[::-1])[::-1]
-    return (ids > last) & (ids < np.append(smallest[1:], most))
+    real = (ids > last) & (ids <= most)
+    smallest = np.minimum.accumulate(np.where(real, ids, MOST_ROWS)[::-1])[::-1]
+    return real & (ids < np.append(smallest[1:], MOST_ROWS))
 
 
 def _integers(values: tuple[int, ...]) -> NDArray[Any]:
