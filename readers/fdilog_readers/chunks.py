@@ -110,7 +110,7 @@ def decompress(head: ChunkHead, data: memoryview) -> bytes | memoryview:
             records = bz2.BZ2Decompressor().decompress(data, max_length=head.size + 1)
         else:
             raise DamagedChunkError(f"its compression {head.compression!r} is not known")
-    except (RuntimeError, ValueError, EOFError, MemoryError) as error:
+    except (RuntimeError, ValueError, EOFError, OSError, MemoryError) as error:
         raise DamagedChunkError(f"it does not decompress ({error})") from error
     if len(records) != head.size:
         raise DamagedChunkError(f"it holds {len(records)} bytes instead of {head.size}")
