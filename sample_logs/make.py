@@ -308,7 +308,9 @@ def make(sample: Sample, folder: Path) -> Flight:
         # Six tenths of this log end 24 bytes into an IMU record of 54.
         del data[len(data) * 6 // 10 :]
         if sample.name == "damaged.bin":
-            middle = len(data) // 2
+            # Eight bytes further it begins in an attitude: nothing it spoils could be taken for a
+            # reading, by a reader that believes a record before it knows where that ends.
+            middle = len(data) // 2 + 8
             data[middle : middle + 500] = np.random.default_rng(1).bytes(500)
         path.write_bytes(data)
     return flight
