@@ -8,6 +8,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from fdilog import analyse
+from fdilog.config import load_config
 from fdilog.registry import plugins
 
 PAGES = Path(__file__).parents[2] / "docs" / "detectors"
@@ -41,3 +43,11 @@ def test_a_picture_is_small_and_well_formed(path: Path) -> None:
     root = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  our own file
     assert root.tag.endswith("svg")
     assert len(list(root.iter())) > 10
+
+
+def test_the_log_of_the_observer_names_both_failures() -> None:
+    config = load_config(PAGES / "vessel.toml").replace("detectors", use=("observer",))
+    found = analyse(PAGES / "vessel.csv", config).findings
+    assert [finding.suspects for finding in found] == [("gyro.z",), ("boat.sway",)]
+    assert [finding.start_s for finding in found] == pytest.approx([20.0, 50.0], abs=0.2)
+    assert [finding.end_s for finding in found] == pytest.approx([30.0, 70.0], abs=1.0)
