@@ -6,16 +6,34 @@ import contextlib
 import importlib
 import warnings
 
-import fdilog.campaign.work  # noqa: F401
 from fdilog.registry import plugins
 
 LATE = (
-    "fdilog.decision",
-    "fdilog.findings",
     "jinja2.filters",
+    "lz4.frame",
+    "msgspec",
     "pymavlink.dialects.v20.all",
+    "rosbags.typesys.stores",
+    "ruamel.yaml",
+    "zstandard",
 )
-"""What an analysis imports only when it comes to it, and takes its time to."""
+"""What readers and reports import only when they come to it, and take their time to."""
+REHEARSED_S = 8.0
+
+
+def _rehearse() -> None:
+    """Analyse and report a short made-up flight: what is imported on the way is there then."""
+    from fdilog.analysis import analyse_recording
+    from fdilog.campaign.measures import measure
+    from fdilog.config import Config
+    from fdilog.simulate import simulate
+
+    recording = simulate(REHEARSED_S, 25.0, sources=3, seed=1).recording()
+    analysis = analyse_recording(recording, Config())
+    measure(analysis)
+    for report in plugins("reports").values():
+        report.render(analysis)
+
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # the parent has warned already
@@ -24,3 +42,6 @@ with warnings.catch_warnings():
     for name in LATE:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+    # Whatever goes wrong here will be the first log's to tell.
+    with contextlib.suppress(Exception):
+        _rehearse()
