@@ -302,6 +302,7 @@ def judge(
     from fdilog import decision
     from fdilog import findings as of
     from fdilog.biases import bias_findings
+    from fdilog.disagreement import with_disagreement
     from fdilog.mounting import mounting_findings, mountings, turned_back
     from fdilog.registry import detectors, plugins
     from fdilog.scales import with_scales
@@ -350,6 +351,7 @@ def judge(
         *of.noise_findings(heard, noisy),
         *of.guaranteed_findings(heard, sampled, biased, config),
     ]
+    findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
     decided = dict(
         zip(sound.names, decision.channel_status(sound, compared, findings), strict=True)
