@@ -38,6 +38,9 @@ FASTER = 2.0
 MARGIN = 0.1
 """Part of the range of a healthy input by which it may leave it: beyond, the model is not known."""
 
+ROUNDING = 1e-9
+"""Part of an output that may be rounding: less than that is no residual."""
+
 FEWEST_HEALTHY = 20
 
 SLOWEST_PER_S = 1e-3
@@ -208,13 +211,18 @@ def watched(survey: Survey) -> Watch:
         # What a healthy record leaves on average are trims of servos and biases of sensors.
         residual = residual - residual[healthy].mean(axis=0)
     driven = np.concatenate([run.inputs for run in parts])[settled]
-    units = np.array(settings.units) if settings.units else residual[healthy].std(axis=0)
+    units = np.array(settings.units)
+    if not settings.units:
+        told = np.concatenate([run.outputs for run in parts])[settled]
+        least = ROUNDING * np.abs(told).max(axis=0)
+        units = np.maximum(residual[healthy].std(axis=0), least)
     if not bool((units > 0).all()):
-        raise NotAskedError("an output never differs from its prediction: it does not move at all")
+        raise NotAskedError("an output is zero all along")
     residual = residual / units
     threshold = settings.threshold
     if not threshold:
-        threshold = THRESHOLD_FACTOR * float(np.linalg.norm(residual[healthy], axis=1).max())
+        longest = float(np.linalg.norm(residual[healthy], axis=1).max())
+        threshold = THRESHOLD_FACTOR * max(longest, 1.0)
     return Watch(
         time_s=time_s,
         residual=residual,

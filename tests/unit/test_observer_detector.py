@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fdilog.config import Config
+from fdilog.detectors.observer import held_step, propagate
 from fdilog.detectors.observer_evidence import ObserverDetector, alarms
 from fdilog.detectors.observer_watch import check, explained, watched
 from fdilog.errors import UsageError
@@ -104,6 +105,20 @@ def test_one_reading_far_off_is_too_short_to_tell_whose_it_is() -> None:
     found = answer(sailed(MODEL, faults={"imu0.z": between(60.0, 60.05, 2.0)}))
     assert not found.accused.any()
     assert "no single sensor explains it" in found.note
+
+
+def test_rounding_in_a_record_without_noise_is_no_fault() -> None:
+    dynamics, inputs = vessel()
+    rudder = 0.17 * np.sign(np.sin(TIME_S * 0.4))
+    step, held = held_step(dynamics, inputs, 0.05)
+    states = propagate(step, rudder[:-1, None] @ held.T, np.zeros(2))
+    coarse = configured(step_s=0.05)
+    found = answer(survey_of(gyros(TIME_S, states[:, 1]), coarse, states[:, 0], rudder))
+    assert not found.accused.any()
+    assert not any(found.beside)
+    nothing = 0.0 * TIME_S
+    still = answer(survey_of(gyros(TIME_S, nothing), MODEL, nothing, nothing))
+    assert "an output is zero all along" in still.note
 
 
 def test_where_a_command_is_beyond_the_healthy_ones_nobody_is_accused() -> None:
