@@ -19,6 +19,8 @@ RESTART_PAUSE_NS = 60_000_000_000
 LATEST_NS = 2**62
 # Steps of several periods are a hole; single lost records are not.
 HOLE_PERIODS = 5.0
+# Periods of one nominal rate differ by the tolerance of oscillators and by jitter: less than this.
+SAME_RATE = 1.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,9 +160,12 @@ def time_base(stamps: Sequence[Times], dropout_s: float) -> TimeBase:
     """Choose the instants on which sources of several rates are compared.
 
     They are the stamps of the fastest source, and where that one is silent those of the next
-    fastest. Nothing is put where no source was sampled.
+    fastest; of sources of one nominal rate the first, so that the rounding of stamps does not
+    choose. Nothing is put where no source was sampled.
     """
-    order = sorted(range(len(stamps)), key=lambda k: (_period_ns(stamps[k]), k))
+    periods = [_period_ns(time) for time in stamps]
+    fast = SAME_RATE * min(periods)
+    order = sorted(range(len(stamps)), key=lambda k: (max(periods[k], fast), k))
     base = stamps[order[0]]
     period = _period_ns(base)
     for k in order[1:]:

@@ -87,3 +87,12 @@ def test_a_reading_that_is_repeated_stays_the_same_between_the_instants_of_other
     placed, valid = place(np.arange(101) * 50_000_000, held, base)
     assert valid.all()
     assert np.unique(placed).tolist() == [0.411]
+
+
+def test_of_sources_of_one_rate_the_first_is_the_base_however_stamps_are_rounded() -> None:
+    even = np.arange(100, dtype=np.int64) * 50_019_000
+    rounded = (even + 21_000_000) // 1_000_000 * 1_000_000  # whole ms: the median step is shorter
+    assert np.median(np.diff(rounded)) < np.median(np.diff(even))
+    np.testing.assert_array_equal(time_base([even, rounded], 0.5).time_ns[:50], even[:50])
+    twice = np.arange(200, dtype=np.int64) * 25_000_000
+    np.testing.assert_array_equal(time_base([even, twice], 0.5).time_ns[:50], twice[:50])
