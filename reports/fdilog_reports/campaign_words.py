@@ -199,7 +199,7 @@ def _channels(some: Sequence[str], names: Collection[str]) -> str:
     own: dict[str, list[str]] = defaultdict(list)
     for name in some:
         own[name.rpartition(".")[0]].append(name)
-    told = []
+    told: list[str] = []
     for source, channels in own.items():
         every = {name for name in names if name.rpartition(".")[0] == source}
         whole = source and len(every) > 1 and every == set(channels)

@@ -15,6 +15,9 @@ from fdilog_reports.view import report
 
 suffix = ".html"
 
+LONGEST_LINK = 200_000
+"""Characters of a result that are in the page twice, the second time as a link."""
+
 
 def render(analysis: Analysis) -> str:
     """Return the report as one self-contained HTML file."""
@@ -36,6 +39,8 @@ def _render(analysis: Analysis, *, shared: bool) -> str:
 
     result = json_report.render(analysis)
     drawn = plots.plots(analysis)
+    # A link needs no script but holds the result once more; a long one is left to the script.
+    twice = drawn is None or len(result) < LONGEST_LINK
     return (
         html_environment()
         .get_template("report.html")
@@ -45,7 +50,7 @@ def _render(analysis: Analysis, *, shared: bool) -> str:
             residuals=residual_picture(analysis),
             losses=loss_strip(analysis),
             json=Markup(result.translate(SCRIPT_SAFE)),  # noqa: S704  escaped for where it goes
-            json_base64=base64.b64encode(result.encode()).decode(),
+            json_base64=base64.b64encode(result.encode()).decode() if twice else "",
             plots=drawn,
             **(plots.script_parts(shared=shared) if drawn else {"policy": ""}),
         )

@@ -53,6 +53,7 @@ class FindingRow:
     when: str
     size: str
     interval: str
+    bounds: str
     tolerance: str
     detectors: str
     dissent: str
@@ -157,6 +158,7 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         when=when,
         size=str(size) if size else "",
         interval=interval,
+        bounds="" if size is None or interval == "exact" else f"{size.interval}; {size.confidence}",
         tolerance=tolerance,
         detectors=listed([shown(name) for name in finding.detectors]),
         dissent=listed([shown(name) for name in finding.dissent]),

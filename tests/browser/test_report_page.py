@@ -203,6 +203,24 @@ def test_without_scripts_and_on_paper_the_pictures_are_there(browser: Any, folde
         assert page.locator("#repeat details pre").is_visible()
 
 
+def test_hundreds_of_findings_leave_the_answer_on_the_first_screen_and_the_page_small(
+    browser: Any, folder: Path
+) -> None:
+    findings = tuple(
+        bias(kind="impulse", start_s=0.1 * k, end_s=0.1 * k, detail="x" * 300) for k in range(600)
+    )
+    made = failed_analysis(findings=findings)
+    path = written(folder, "hundreds", made)
+    assert path.stat().st_size < 2_000_000
+    with context(browser) as of:
+        opened = Opened(of.new_page(), path).goto()
+        assert bottom(opened.page.locator(".facts")) <= DESKTOP["height"]
+        with opened.page.expect_download() as waited:
+            opened.page.click("#download")
+        assert Path(waited.value.path()).read_text("utf-8") == made.to_json()
+        assert opened.messages == []
+
+
 def hostile_analysis(sample_logs: Path) -> Analysis:
     """Analyse a real recording whose every string is an attack."""
     recording = fdilog.read(sample_logs / "two_imus_bias.bin")

@@ -90,6 +90,12 @@
     return element;
   };
 
+  const download = document.getElementById("download");
+  if (download) {
+    const result = document.getElementById("result").textContent;
+    download.href = URL.createObjectURL(new Blob([result], { type: "application/json" }));
+  }
+
   try {
     const [lines] = await Promise.all([inflated("plot-lines"), library()]);
     draw(unpacked(lines));
