@@ -70,7 +70,7 @@ def revealed(table: ChannelTable, evidence: Sequence[Evidence]) -> tuple[Reveale
     leading.sort(key=lambda item: item.windows.length_s)
     return tuple(
         _of_group(table, [item for item in leading if len(item.windows)], list(block))
-        for block in blocks(table.axes)
+        for block in (blocks(table.axes) if table.channels else ())
     )
 
 
