@@ -64,6 +64,7 @@ def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[
     n_channels = len(table.channels)
     error_per_rate = np.zeros((n_channels, 3))
     constant = np.full(n_channels, np.nan)
+    vague = np.zeros(3, bool)
     means, rates = _stretch_means(table)
     for block in blocks(table.axes):
         columns = list(block)
@@ -71,15 +72,21 @@ def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[
         if known.sum() < FEWEST_STRETCHES:
             continue
         parity = parity_matrix(table.axes[columns])
-        fitted = _robust_fit(
+        fitted, told = _robust_fit(
             means[known][:, columns] @ parity.T,
             rates[known],
             config.noise.scale_sigma,
         )
+        vague |= ~told
         error_per_rate[columns] = parity.T @ fitted[:, 1:]
         constant[columns] = parity.T @ fitted[:, 0]
     taken_out = _within_tolerance(table, error_per_rate, config)
-    return _corrected(table, taken_out), _described(table, error_per_rate, constant, taken_out)
+    described = _described(table, error_per_rate, constant, taken_out)
+    if vague.any():
+        axes = ", ".join(axis for axis, is_vague in zip("xyz", vague, strict=True) if is_vague)
+        words = f"turns too little, for its noise, about {axes} to tell misalignment and scale"
+        described = with_notes(described, {one.source: words for one in described})
+    return _corrected(table, taken_out), described
 
 
 def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
@@ -99,7 +106,7 @@ def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
     return means, rates
 
 
-def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
+def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Robust regression of parity vectors on body rates, with a prior on the slopes.
 
     Parameters
@@ -115,6 +122,9 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
     -------
     coefficients : (q, 4)
         Constant c [rad/s] and slopes B [1].
+    told : (3,) bool
+        Whether the slopes on each body rate are told by the readings rather than by the prior: they
+        alone would know them to less than its standard deviation.
 
     References
     ----------
@@ -123,6 +133,7 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
     """
     design = np.column_stack([np.ones(len(rates)), rates])
     found = np.zeros((parity.shape[1], 4))
+    told = np.ones(3, bool)
     for k, target in enumerate(parity.T):
         level = np.array([float(np.median(target)), 0.0, 0.0, 0.0])
         for _ in range(ROUNDS):
@@ -137,7 +148,11 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> Floats:
             if np.allclose(before, level, rtol=1e-6, atol=1e-12):
                 break
         found[k] = level
-    return found
+        information = np.linalg.pinv(design.T @ (weight[:, None] * design))
+        told &= noise * np.sqrt(np.diag(information)[1:]) < sigma
+        # A rate that is always the same tells nothing, and its inverse is no infinity here.
+        told &= np.ptp(rates, axis=0) > 0.0
+    return found, told
 
 
 def _within_tolerance(table: ChannelTable, error_per_rate: Floats, config: Config) -> Floats:
