@@ -218,6 +218,10 @@ def _analysed(log: Path, config: Config, part: Part, step: object) -> Analysis:
 
     try:
         return analyse_log(log, config, part=part, progress=step)  # type: ignore[arg-type]
+    except UsageError as error:
+        if str(log) in str(error):
+            raise
+        raise UsageError(f"{log}: {error}") from None
     except MemoryError:
         raise FdilogError(
             f"{log}: not enough memory; look at a part of it with --from, --to"

@@ -458,7 +458,8 @@ def _axis_by_name(gyro: Gyro, k: int) -> list[float]:
     letter = re.search(r"([xyz])[_ ]?\d*$", name, re.IGNORECASE)
     if letter is None:
         raise UsageError(
-            f"where channel '{name}' points is not known; name it with --geometry or geometry.axes"
+            f"where channel '{name}' points is not known; add --geometry NAME, or geometry.axes to"
+            " the configuration (`fdilog config` tells the names)"
         )
     return [float(letter[1].lower() == axis) for axis in AXIS_NAMES]
 

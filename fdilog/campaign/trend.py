@@ -60,12 +60,12 @@ class Trend:
 
 
 def trend(x: Floats, y: Floats) -> Trend | None:
-    """Test a series for a trend; None where it has too few flights.
+    """Test a series for a trend; None where it has too few flights, or all at one time.
 
     Parameters
     ----------
     x : (n,)
-        When each flight was, or its number; strictly increasing.
+        When each flight was, or its number; increasing.
     y : (n,)
         What was measured. [any unit]
     """
@@ -83,6 +83,8 @@ def trend(x: Floats, y: Floats) -> Trend | None:
     if variance > 0.0:
         exact = len(y) <= EXACT_UP_TO and not ties
         p_value = _exact_p(len(y), s) if exact else _normal_p(s, variance)
+    if not bool((dx > 0).any()):
+        return None
     slopes = np.sort(dy[dx > 0] / dx[dx > 0])
     half = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2.0) * math.sqrt(variance)
     last = len(slopes) - 1

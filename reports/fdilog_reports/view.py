@@ -93,7 +93,7 @@ class Report:
 def report(analysis: Analysis) -> Report:
     """Put an analysis into words and numbers."""
     log = analysis.log
-    name = shown(PurePath(log.path).name or log.path)
+    name = "standard input" if log.path == "-" else shown(PurePath(log.path).name or log.path)
     verdict = _verdict(analysis)
     findings = tuple(
         finding_row(number, finding, analysis)

@@ -88,3 +88,8 @@ def test_a_long_series_is_tested_on_part_of_it() -> None:
     assert found.flights == 4000
     assert found.slope == pytest.approx(1e-3, rel=0.1)
     assert found.p_value < 1e-6
+
+
+def test_flights_that_all_have_one_date_show_no_trend() -> None:
+    assert trend(np.full(12, 3.0), np.arange(12.0)) is None
+    assert trend(np.array([3.0] * 11 + [4.0]), np.arange(12.0)) is not None

@@ -109,6 +109,13 @@ def test_a_wrong_option_is_one_line_that_helps(
     one_line(done.stderr)
 
 
+def test_a_table_without_a_geometry_is_named_with_what_to_do(sample_logs: Path) -> None:
+    done = fdilog("analyse", sample_logs / "skewed_bias.csv")
+    assert done.returncode == 2
+    line = one_line(done.stderr)
+    assert "skewed_bias.csv: where channel 'g1' points is not known; add --geometry" in line
+
+
 def test_an_unknown_key_names_the_nearest_one(sample_logs: Path, tmp_path: Path) -> None:
     config = tmp_path / "fdilog.toml"
     config.write_text("[tolerance]\nbias_deg = 2.0\n")
