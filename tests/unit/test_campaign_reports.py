@@ -85,6 +85,9 @@ def test_a_drifting_sensor_is_named_before_it_fails_and_a_steady_one_is_not() ->
     ]
     assert [group.folded for group in view.trends] == [False, True]
     assert "No drift shown" in view.trends[1].panels[0].words
+    page = campaign_html.render(made)
+    assert '<a href="#trends">Show trends</a>' in page
+    assert 'id="trends"' in page
 
 
 def test_series_that_are_too_short_to_test_are_folded_away() -> None:
