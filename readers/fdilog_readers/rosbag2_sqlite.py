@@ -202,7 +202,8 @@ class _Messages:
                 rows.append(row)
         except sqlite3.DatabaseError:
             # Python steps on before it hands a row out: the one before the damage came to nothing.
-            before = self._reads(rows[-1][0] if rows else last)
+            real = [row[0] for row in rows if row[0] <= self._last_id]
+            before = self._reads(max([last, *real]))
             if before:
                 rows.append(tuple(before))
         return self._take(rows, last) if rows else last
@@ -295,9 +296,15 @@ class _Messages:
 def _in_order(ids: NDArray[np.int64], last: int, most: int) -> NDArray[np.bool_]:
     """Tell which rows are numbered after the last one, and before all that come behind them.
 
-    What is larger than something behind it is out of place, not all that is behind it.
+    Numbers that go on by one are believed before others: a recorder counts. What is larger than
+    something behind it is out of place, not all that is behind it.
     """
-    real = (ids > last) & (ids <= most)
+    counted = np.diff(ids) == 1
+    sure = np.append(counted, False) | np.append(False, counted)
+    before = np.maximum.accumulate(np.append(last, np.where(sure, ids, last)[:-1]))
+    after = np.where(sure, ids, MOST_ROWS)[:0:-1]
+    after = np.minimum.accumulate(np.append(MOST_ROWS, after))[::-1]
+    real = (ids > before) & (ids < after) & (ids <= most)
     smallest = np.minimum.accumulate(np.where(real, ids, MOST_ROWS)[::-1])[::-1]
     return real & (ids < np.append(smallest[1:], MOST_ROWS))
 
