@@ -337,9 +337,11 @@ def limits(analysis: Analysis) -> list[str]:
             if one.bias_rad_s is not None:
                 sizes.setdefault(one.length_s, []).append(one.bias_rad_s)
     everywhere = [length for length, found in sorted(sizes.items()) if len(found) == len(bounded)]
+    # What lasts long shows in the short windows that it fills as well.
+    least = [min(max(sizes[one]) for one in everywhere[: k + 1]) for k in range(len(everywhere))]
     shown_from: dict[str, float] = {}
-    for length in (*everywhere[:1], *everywhere[-1:]):
-        shown_from.setdefault(figure(DEG_PER_RAD * max(sizes[length]), 2), length)
+    for size, length in [*zip(least, everywhere, strict=True)][:: max(1, len(least) - 1)]:
+        shown_from.setdefault(figure(DEG_PER_RAD * size, 2), length)
     parts = [
         f"from {size} deg/s on if it lasts {figure(length)} s"
         for size, length in shown_from.items()
