@@ -505,7 +505,7 @@ def inject(
         typer.Option(
             "--fault",
             metavar="KIND",
-            help="bias, drift, scale, noise, impulse, saturated, stuck, dead or dropout.",
+            help="bias, drift, scale, noise, impulse, saturated, stuck, dead, dropout or mounting.",
         ),
     ],
     channel: Annotated[
@@ -518,7 +518,8 @@ def inject(
     size: Annotated[
         float | None,
         typer.Option(
-            help="In deg/s (bias, impulse, saturated), deg/s per second (drift), a factor."
+            help="In deg/s (bias, impulse, saturated), deg/s per second (drift), a factor, or deg"
+            " (mounting; without it the axis is inverted)."
         ),
     ] = None,
     count: Annotated[int, typer.Option(help="How many impulses, spread evenly.")] = 1,

@@ -44,13 +44,13 @@ def _words(turn: Turn) -> str:
     if len(turn.standing) == 1:
         diagonal = np.diag(turn.matrix)
         if np.linalg.det(turn.matrix) < 0 and bool((np.abs(diagonal) > PARALLEL).all()):
-            return f"reads {_listed([AXES[k] for k in np.flatnonzero(diagonal < 0)])} inverted"
-        return f"is mounted otherwise, {_turned(turn.matrix)}: {', '.join(reads)}"
+            return f"has {_listed([AXES[k] for k in np.flatnonzero(diagonal < 0)])} inverted"
+        return f"is {_turned(turn.matrix)} ({', '.join(reads)})"
     told = [reads[k] for k in range(3) if float(np.ptp(turn.standing[:, k], axis=0).max()) < FIT]
-    said = f"{', '.join(told)}; " if told else ""
+    said = f"is mounted otherwise ({', '.join(told)})" if told else "is mounted otherwise"
     return (
-        f"is mounted otherwise: {said}the flight turned too little about other axes to tell more,"
-        f" and it may be {_turned(turn.matrix)}"
+        f"{said}; the flight turned too little about other axes to tell more, it may be"
+        f" {_turned(turn.matrix)}"
     )
 
 
@@ -68,7 +68,7 @@ def _turned(matrix: Floats) -> str:
     """Write by what turn a device comes to read this, from where it should be."""
     sensor = matrix.T
     if np.linalg.det(sensor) < 0:
-        return "with axes swapped or inverted as by a mirror"
+        return "mounted with axes swapped and inverted as by a mirror"
     degrees = float(np.degrees(np.arccos(np.clip((np.trace(sensor) - 1.0) / 2.0, -1.0, 1.0))))
     values, vectors = np.linalg.eig(sensor)
     axis = np.real(vectors[:, np.abs(values - 1.0).argmin()])

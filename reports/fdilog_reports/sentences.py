@@ -11,6 +11,7 @@ from fdilog.revealed import revealed
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
+    SHOWN_TEXT,
     between,
     figure,
     flight_time,
@@ -109,6 +110,8 @@ def suspects(finding: Finding) -> str:
 def finding_sentence(finding: Finding, analysis: Analysis) -> str:
     """Say what one finding found: who, what, how much, when."""
     claim = f"{_claim(finding, analysis)} {_when(finding, analysis)}"
+    if finding.kind == "mounting" and finding.detail:
+        claim = f"{claim}: {shown(finding.detail.partition(';')[0], SHOWN_TEXT)}"
     if finding.isolated:
         return f"{suspects(finding)} {claim}."
     one_of = listed([shown(name) for name in finding.suspects])

@@ -52,9 +52,9 @@ def only(found: Analysis) -> Finding:
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        (mounted("imu1.z", QUARTER), "turned by 90 deg about z: x reads y, y reads -x"),
+        (mounted("imu1.z", QUARTER), "imu1 is turned by 90 deg about z (x reads y, y reads -x"),
         (mounted("imu1.y", -QUARTER), "turned by 90 deg about -y"),
-        (mounted("imu1.x", HALF), "turned by 180 deg about x: x reads x, y reads -y, z reads -z"),
+        (mounted("imu1.x", HALF), "turned by 180 deg about x (x reads x, y reads -y, z reads -z)"),
         (mounted("imu1.z", np.radians(45.0)), "turned by 45 deg about z"),
     ],
 )
@@ -71,7 +71,7 @@ def test_an_inverted_axis_is_the_fault_of_that_channel() -> None:
     found = analysis(mounted("imu2.y"), attitude=False)
     finding = only(found)
     assert finding.suspects == ("imu2.y",)
-    assert "reads y inverted" in finding.detail
+    assert "imu2 has y inverted" in finding.detail
     status = dict(zip(found.table.names, found.status, strict=True))
     assert [name for name, one in status.items() if one == "failed"] == ["imu2.y"]
 
@@ -95,7 +95,7 @@ def test_of_two_devices_both_are_suspects() -> None:
     finding = only(analysis(mounted("imu0.z", QUARTER), sources=2, attitude=False))
     assert len(finding.suspects) == 6
     assert not finding.isolated
-    assert "as imu0 sees it, imu1 is mounted otherwise" in finding.detail
+    assert "as imu0 sees it, imu1 is turned" in finding.detail
 
 
 @pytest.mark.parametrize("device", ["imu0", "imu1"])

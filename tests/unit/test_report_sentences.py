@@ -208,10 +208,12 @@ def test_a_device_that_is_mounted_otherwise_is_named_as_a_whole() -> None:
         start_s=0.0,
         end_s=119.98,
         one_source=True,
+        detail="imu1 is turned by 90 deg about z (x reads y); the attitude tells",
     )
     made = analysis(findings=(found,), verdict="failed")
-    assert finding_sentence(found, made).startswith(
-        "imu1.x, imu1.y and imu1.z read as if mounted otherwise throughout"
+    assert finding_sentence(found, made) == (
+        "imu1.x, imu1.y and imu1.z read as if mounted otherwise throughout, from 0.0 s to 120.0 s:"
+        " imu1 is turned by 90 deg about z (x reads y)."
     )
     both = (found, bias(("imu2.x",)))
     assert "imu1.x, imu1.y and imu1.z failed (mounting)" in verdict_sentence(
