@@ -528,7 +528,8 @@ def _stamp_problems(gyro: Gyro, clean: CleanStamps) -> list[Problem]:
         what = f"{topic}: {clean.repeated} records repeat the time stamp before them; left out"
         problems.append(Problem(what=what, note=True))
     if clean.misplaced:
-        what = f"{topic}: {clean.misplaced} records are stamped out of order; left out"
+        are = "record is" if clean.misplaced == 1 else "records are"
+        what = f"{topic}: {clean.misplaced} {are} stamped out of order; left out"
         problems.append(Problem(what=what))
     problems += [
         Problem(

@@ -285,7 +285,7 @@ class Framing:
         else:
             records, at = records[:-1], int(piece.chain.starts[last])
             layout = self.layouts[int(piece.types[last])]
-            what = f"a {layout.name} record that is damaged or cut, and what follows it"
+            what = f"a damaged or cut record, {layout.name}, and what follows it"
             self._lost = _Lost(self._blocks.start + at, what, layout.length)
         return records, at
 

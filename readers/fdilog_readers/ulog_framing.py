@@ -221,7 +221,7 @@ class Framing:
         """Make a loss that begins with a data record whose end nothing confirms."""
         _, end, message_id = piece.header(at)
         name = self.known.topics[message_id].name or "data"
-        what = f"a {name} record that is damaged or cut, and what follows it"
+        what = f"a damaged or cut record, {name}, and what follows it"
         return _Lost(self._blocks.start + at, what, end - at)
 
     def _cut_short(self, offset: int, length: int) -> None:

@@ -372,7 +372,7 @@ def _sharpness(analysis: Analysis) -> list[str]:
     within = f"{least} deg/s" if least == most else f"{least} to {most} deg/s, by channel"
     said = (
         f"Over {figure(drawn.windows.length_s)} s a channel's error is known to within {within}"
-        " (median half-width of its intervals); an error that lasts so long shows only if it"
-        " exceeds the tolerance by as much."
+        " (median half-width of its intervals); an error that lasts that long shows only where it"
+        " exceeds the tolerance by that much."
     )
     return [said]
