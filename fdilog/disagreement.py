@@ -151,7 +151,7 @@ class _Cells:
             return None
         rows = np.where(tested[:, None], rows, 0.0)
         error = self.mean @ rows.T
-        sigma = np.sqrt(np.einsum("ci,nij,cj->nc", rows, self.scatter, rows))
+        sigma = np.sqrt(np.maximum(np.einsum("ci,nij,cj->nc", rows, self.scatter, rows), 0.0))
         tolerance = np.sqrt(
             np.radians(config.tolerance.bias_deg_s) ** 2
             + (config.tolerance.scale * (self.mean - error)) ** 2
@@ -243,10 +243,12 @@ def _cells(table: ChannelTable, columns: list[int], doubtful: Bools) -> _Cells |
     count = np.diff(np.append(start, len(rows)))
     last = start + count - 1
     mean = np.add.reduceat(readings, start, axis=0) / count[:, None]
-    products = np.einsum("ni,nj->nij", readings, readings)
-    square = np.add.reduceat(products, start, axis=0) / count[:, None, None]
-    scatter = square - np.einsum("ni,nj->nij", mean, mean)
-    scatter /= np.maximum(count - 1, 1)[:, None, None]
+    scatter = np.empty((len(start), len(columns), len(columns)))
+    for i in range(len(columns)):
+        for j in range(i + 1):
+            square = np.add.reduceat(readings[:, i] * readings[:, j], start) / count
+            apart = (square - mean[:, i] * mean[:, j]) / np.maximum(count - 1, 1)
+            scatter[:, i, j] = scatter[:, j, i] = apart
     elapsed = np.maximum(time_s[last] - time_s[start], table.period_s)[:, None]
     full = count >= max(FEWEST_SAMPLES / 2, float(np.median(count)) / 2)
     return _Cells(
