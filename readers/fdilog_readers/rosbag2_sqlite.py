@@ -183,6 +183,9 @@ class _Messages:
         """Report damage between two rows: from the page of the one to that of the other."""
         start, end = self._place_of(first), self._place_of(following)
         lost = None if start is None or end is None else max(self.page_bytes, end - start)
+        size = self.path.stat().st_size
+        if start is not None and start >= size:  # cut off, and told
+            start, lost = size, None
         self.problems.append(Problem(what=what, offset=start, bytes_lost=lost))
 
     def _place_of(self, row: int) -> int | None:
