@@ -67,6 +67,9 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+MOST_SUMMARIES = 4
+"""Logs of which each gets its summary on a terminal; of more, each gets a line."""
+
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs; - is standard input.")]
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE.toml", help="See `fdilog config`.")
@@ -198,10 +201,8 @@ def analyse(
             continue
         if as_json:
             typer.echo(analysis.to_json(), nl=False)
-        elif quiet or not sys.stdout.isatty():
-            _print(analysis.to_text(brief=quiet))
         else:
-            _show(analysis, first=not codes)
+            _summarise(analysis, brief=quiet, place=number, of=len(logs))
         if output is not None:
             for path in _write_reports(analysis, log, output, names, taken, pictures=pictures):
                 if not quiet:
@@ -228,14 +229,21 @@ def _analysed(log: Path, config: Config, part: Part, step: object) -> Analysis:
         ) from None
 
 
-def _show(analysis: Analysis, *, first: bool) -> None:
-    """Print the summary in the terminal's width and colours; NO_COLOR is Rich's to respect."""
+def _summarise(analysis: Analysis, *, brief: bool, place: int, of: int) -> None:
+    """Print lines on a pipe; on a terminal a summary, or a line a log where they are many."""
+    if brief or not sys.stdout.isatty():
+        _print(analysis.to_text(brief=brief))
+        return
+    if of > MOST_SUMMARIES:
+        _print(analysis.to_text(brief=True))
+        return
     from rich.console import Console
 
     from fdilog.registry import plugin
 
+    # Width, colours and NO_COLOR are Rich's to find out.
     console = Console(highlight=False, markup=False, emoji=False)
-    if not first:
+    if place > 1:
         console.print()
     plugin("reports", "text").show(analysis, console)
 

@@ -11,7 +11,7 @@ from fdilog_reports.sentences import KIND_NAME, negated, printed_size, suspects
 from fdilog_reports.strip import MARKS, strip
 from fdilog_reports.text import asides
 from fdilog_reports.view import Report, report
-from fdilog_reports.words import flight_time, several
+from fdilog_reports.words import flight_time, several, utc
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,6 +23,9 @@ MOST_GROUPS = 15
 MOST_LOSSES = 5
 NARROW = 60
 """Terminals below this width get sentences in place of a table."""
+
+WIDE = 110
+"""Terminals from this width on have room for UTC beside flight time."""
 
 _FACTS = {"Analysed": "", "Gyros": "", "Began": "began ", "Vehicle": ""}
 
@@ -80,6 +83,8 @@ def _show_findings(analysis: Analysis, seen: Report, console: Console) -> None:
             _row(number, one, analysis) for number, one in enumerate(analysis.findings, start=1)
         ]
         head = ("", "What", "Suspects", "When", "Size", "Detectors")
+        if console.width >= WIDE and analysis.log.start_utc:
+            head = (*head, "UTC")
     if console.width < NARROW and not many:
         for finding in seen.findings:
             console.print(Text(f"{finding.number}. {finding.sentence}"))
@@ -105,7 +110,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     for number, title in enumerate(head):
         table.add_column(Text(title), justify="left" if number else "right", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(cell) for cell in row[: len(head)]))
     return table
 
 
@@ -120,6 +125,7 @@ def _row(number: int, finding: Finding, analysis: Analysis) -> tuple[str, ...]:
         _span(finding.start_s, finding.end_s),
         _size(finding, analysis),
         votes,
+        utc(analysis.log.start_utc, finding.start_s, finding.end_s),
     )
 
 

@@ -64,6 +64,14 @@ def test_quiet_is_one_line_without_progress(sample_logs: Path) -> None:
     assert "\x1b" not in said
 
 
+def test_of_many_logs_each_gets_a_line(sample_logs: Path) -> None:
+    logs = [sample_logs / "one_imu.bin"] * 5
+    code, said = on_a_terminal("analyse", *logs, NO_COLOR="1")
+    assert code == 3
+    assert said.count("one_imu.bin: Insufficient.") == 5
+    assert "INSUFFICIENT" not in said
+
+
 def test_the_present_step_is_shown_while_it_lasts(sample_logs: Path) -> None:
     _, said = on_a_terminal("analyse", sample_logs / "three_imus_bias.bin", "--json")
     assert "three_imus_bias.bin: " in said

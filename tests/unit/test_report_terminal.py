@@ -64,6 +64,14 @@ def test_verdict_sentence_findings_and_strip_in_this_order() -> None:
     assert lane.endswith("failed")
 
 
+def test_a_wide_terminal_has_utc_beside_flight_time() -> None:
+    assert "2024-05-01 13:05:22.3 to 13:05:42.4 UTC" in shown(failed_analysis(), 120)
+    assert "13:05:22.3" not in shown(failed_analysis(), 80)
+    made = failed_analysis()
+    unknown = dataclasses.replace(made, log=dataclasses.replace(made.log, start_utc=None))
+    assert "UTC" not in shown(unknown, 120)
+
+
 def test_the_strip_marks_the_failed_span_where_it_is() -> None:
     drawn = strip(failed_analysis(), 120)
     assert drawn is not None
