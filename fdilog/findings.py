@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from fdilog.accusations import Accusation, Cluster, accusations, clusters, region
 from fdilog.config import Config
-from fdilog.edges import best_step
 from fdilog.finding import SIZE_UNIT, Evidence, Finding, Interval, Kind, Size
 from fdilog.table import ChannelTable
 
 # A fault that single samples show, miss and show again within this time is one fault. [s]
 REJOINED_S = 1.0
+# Vibration changes with the throttle, within seconds.
+SHAKING_S = 1.0
+# The change points of variance and the variances about them settle within this.
+ROUNDS = 5
 _WORDS: dict[Kind, str] = {
     "impulse": "single readings far off, confirmed by no other gyro",
     "dead": "reads exactly zero",
@@ -27,23 +30,22 @@ _WORDS: dict[Kind, str] = {
 
 def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
     """Turn evidence of excess noise into findings, their edges those of the noise itself."""
-    from fdilog.prediction import DEVIATION_GAIN, deviations
+    from fdilog.detectors.excess_noise import noise_peers, shown_noise
 
     said = [accusation for item in evidence for accusation in accusations(item)]
     if not said:
         return []
-    square = (deviations(table) / DEVIATION_GAIN) ** 2
+    deviation, own = shown_noise(table)
     findings = []
     for cluster in clusters(table.time_s, said):
         channel = min(cluster.suspects)
         first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
         rows = first + np.flatnonzero(table.valid[first:last, channel])
-        power = square[rows, channel]
-        # A few readings of a crash must not hide that the noise began long before. Half the mean
-        # of the region parts what is noisy from what is not.
-        power = np.minimum(power, 3.0 * float(np.median(power)))
-        span = best_step(power - float(power.mean()) / 2.0)
-        start, stop = int(rows[span.start]), int(rows[span.stop - 1]) + 1
+        size = _ratio(evidence, channel, cluster.start, cluster.stop)
+        inside = (rows >= cluster.start) & (rows < cluster.stop)
+        shaking = _shaking(table, deviation[rows][:, noise_peers(table, channel)])
+        low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, size.estimate)
+        start, stop = int(rows[low]), int(rows[high - 1]) + 1
         findings.append(
             Finding(
                 kind="noise",
@@ -52,10 +54,60 @@ def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Fi
                 end_s=float(table.time_s[stop - 1]),
                 size=_ratio(evidence, channel, start, stop),
                 detectors=tuple(sorted({member.detector for member in cluster.members})),
-                detail="noisier than the other gyros that sense its axis",
+                detail="noisier than the other gyros that sense its axis, or than it usually is",
             )
         )
     return findings
+
+
+def _shaking(table: ChannelTable, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Tell how much the other gyros shake about each reading, and never much less than usual.
+
+    Parameters
+    ----------
+    deviation : (n, k)
+        Of the others, as white sigmas. [rad/s]
+    """
+    power = (deviation**2).mean(axis=1)
+    width = min(len(power), max(1, round(SHAKING_S / table.period_s)))
+    around = np.convolve(power, np.ones(width) / width, mode="same")
+    shaking: NDArray[np.float64] = np.sqrt(around + np.median(around))
+    return np.where(shaking > 0.0, shaking, 1.0)
+
+
+def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) -> tuple[int, int]:
+    """Find the span over which readings are likelier noisy than not, the change points of variance.
+
+    Parameters
+    ----------
+    size : (n,)
+        Moduli of a channel's own noise, over the vibration. [1]
+    inside : (n,) bool
+        Where it is noisy, as a beginning.
+    ratio
+        How many times noisier it is there.
+    """
+    from fdilog.detectors.excess_noise import CAP, FEWEST_SAMPLES, capped_sigma
+
+    span = (int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1])))
+    for _ in range(ROUNDS):
+        loud = float(capped_sigma(size[span[0] : span[1]]))
+        sides = [side for side in (size[: span[0]], size[span[1] :]) if len(side) >= FEWEST_SAMPLES]
+        # Before and after may differ, in flight and landed; noise is what is above both.
+        quiet = max((float(capped_sigma(side)) for side in sides), default=loud / ratio)
+        if not 0.0 < quiet < loud:
+            break
+        # Log likelihood ratio of the two variances; a few readings of a crash count like others.
+        power = np.minimum(size, CAP * loud) ** 2
+        gain = power * (quiet**-2 - loud**-2) / 2.0 - np.log(loud / quiet)
+        total = np.concatenate([[0.0], np.cumsum(gain)])
+        least = np.minimum.accumulate(total)
+        stop = int(np.argmax(total - least))
+        found = (int(np.argmin(total[: stop + 1])), stop)
+        if found == span or found[1] <= found[0]:
+            break
+        span = found
+    return span
 
 
 def _ratio(evidence: Sequence[Evidence], channel: int, start: int, stop: int) -> Size:

@@ -52,6 +52,8 @@ class Slopes:
         Scale error and its standard deviation, infinite where nothing is known. [1]
     dof : (n,)
         Degrees of freedom of the latter.
+    effect : (n,)
+        Root mean square of what it makes the channel read wrong. [rad/s]
     moving : (n,) bool
         Whether the rate varies so much that noise, which stands in the prediction too, makes no
         more of a slope than healthy scale errors do.
@@ -60,6 +62,7 @@ class Slopes:
     slope: Floats
     sigma: Floats
     dof: Floats
+    effect: Floats
     moving: NDArray[np.bool_]
 
     def half_width(self, confidence: float) -> Floats:
@@ -70,13 +73,17 @@ class Slopes:
         return half
 
     def outside(self, config: Config, family: float) -> NDArray[np.bool_]:
-        """Tell where the scale error is surely beyond tolerance; two conditions, as for a bias."""
+        """Tell where the scale error is surely beyond tolerance; two conditions, as for a bias.
+
+        It must also make more of a difference than healthy biases, which may wander meanwhile.
+        """
         size = np.abs(self.slope)
         found = self.moving & (
             size - self.half_width(config.windows.confidence) > config.tolerance.scale
         )
         surely = size - self.half_width(family) > config.noise.scale_sigma
-        return np.asarray(found & surely, bool)
+        matters = self.effect > np.radians(config.noise.bias_sigma_deg_s)
+        return np.asarray(found & surely & matters, bool)
 
 
 def slopes(error: Floats, predicted: Floats, beside: Floats, config: Config) -> Slopes:
@@ -116,6 +123,7 @@ def slopes(error: Floats, predicted: Floats, beside: Floats, config: Config) -> 
         slope=slope,
         sigma=np.where(known, sigma, np.inf),
         dof=np.where(known, looks.dof * (s - 2) / (s - 1), 0.0),
+        effect=np.abs(slope) * np.sqrt(power / s),
         moving=known
         & (variance < config.noise.scale_sigma * power / s)
         & (power**2 > FEWEST_TELLING * ((u * u_left) ** 2).sum(axis=1)),
@@ -205,7 +213,8 @@ def _answer(moments: Moments, means: _Segments, survey: Survey, evidence: Eviden
     for removed in range(k):
         for channel, found in _all_slopes(means, axes, (removed,), open_windows, config):
             if channel != removed:
-                stands[:, removed] &= ~found.outside(config, family)
+                # Where the others do not move against each other's noise, they do not agree.
+                stands[:, removed] &= found.moving & ~found.outside(config, family)
                 variance = np.where(found.dof > 0, found.sigma, np.inf) ** 2
                 strange = found.slope**2 / (variance + config.noise.scale_sigma**2)
                 misfit[:, removed] = np.maximum(misfit[:, removed], strange)

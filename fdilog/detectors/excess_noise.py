@@ -1,14 +1,15 @@
 """A channel that is noisier than others on its axis, or than it was before.
 
 The noise is seen in the deviation of every reading from the mean of its neighbours, in which the
-motion of the body hardly shows; so even with two gyros on an axis the noisy one is told.
+motion of the body hardly shows; so even with two gyros on an axis the noisy one is told. Vibration
+shows in it, and in every gyro; a channel's own noise is what is left when the readings of the
+others are taken out (`fdilog.prediction`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
-from fdilog.prediction import DEVIATION_GAIN, deviations
+from fdilog.prediction import DEVIATION_GAIN, deviations, innovations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
+from fdilog.table import ChannelTable
 from fdilog.windows import Survey
 
 Floats = NDArray[np.float64]
@@ -26,15 +28,20 @@ Floats = NDArray[np.float64]
 # Below this many readings a ratio of variances means little: at 25, its 99.9 % interval already
 # spans a factor of four.
 FEWEST_SAMPLES = 50
-# Relative variance of n times a robust sigma from the median modulus of normal readings.
-MEDIAN_VARIANCE = 1.36
+# A reading further off than this counts as if it were no further, so that the edges of a step and a
+# few impulses are not taken for noise. [sigmas, those of the median modulus]
+CAP = 3.0
+# n times the variance of the logarithm of a sigma from so capped squares of normal readings.
+CAPPED_VARIANCE = 0.52
 # One over the normal quantile at 3/4: from a median modulus to a sigma.
 NORMAL_MEDIAN = 1.4826
 # Readings gathered at a time, to bound the memory.
 BLOCK_READINGS = 1_000_000
 # What is usual is what the quietest quarter of the windows stays below: a fault may last for most
-# of a flight.
+# of a flight. The windows compared are those in which all gyros shake as much, within a factor of
+# two: propellers and the ground make more of a difference than faults do.
 USUAL = 0.25
+COMPARABLE_OCTAVES = 1.0
 # Deviations of neighbouring readings share readings; white ones have 35/18 times the variance of
 # their mean square that independent ones have (autocorrelations -2/3 and 1/6, squared, twice).
 SHARED_READINGS = 35.0 / 18.0
@@ -51,10 +58,10 @@ class NoiseDetector:
         """Accuse the channel whose noise ratio is beyond ``tolerance.noise_factor`` for sure.
 
         Two gyros of different make differ in noise by more than that at rest, where both are
-        quiet, so the noise must matter too. As it is logged, vibration included, it matters if it
-        is larger than the tolerance for a bias. Against what three gyros of an axis agree on, where
-        common vibration cancels, it matters if both the noise and the ratio are as many times
-        larger than in the quietest quarter of the flight.
+        quiet, so the noise must matter too: it must be larger than the tolerance for a bias. In
+        vibration, which is common to all, no ratio to the others shows even large noise of one
+        channel. So its own noise is also compared with what it usually is while all shake as much
+        as now; then what it reads must have become noisier, relative to that, for sure.
         """
         table, config, windows = survey.table, survey.config, survey.windows
         size = int(np.median(windows.stop - windows.start)) if len(windows) else 0
@@ -64,29 +71,29 @@ class NoiseDetector:
         low, high = np.full(shape, np.nan), np.full(shape, np.nan)
         accused = np.zeros(shape, np.int8)
         factor = config.tolerance.noise_factor
-        deviation = deviations(table) / DEVIATION_GAIN
+        least = np.radians(config.tolerance.bias_deg_s)
+        deviation, own = shown_noise(table)
         for channel in range(shape[1]):
-            peers = _peers(survey, channel)
+            peers = noise_peers(table, channel)
             if not len(peers):
                 continue
             recorded = np.asarray(table.valid[:, [channel, *peers]].all(axis=1), bool)
             rows = np.flatnonzero(recorded)
-            mine, theirs = deviation[rows, channel], deviation[rows][:, peers]
             spread = partial(_window_sigmas, survey=survey, rows=rows)
-            squares = [spread(column) ** 2 for column in theirs.T]
-            logged = _ratio(survey, rows, spread(mine) ** 2, np.mean(squares, axis=0))
-            found = logged.surely & (logged.noise > np.radians(config.tolerance.bias_deg_s))
-            shown = logged
-            if len(peers) > 1:
-                # Against the mean of the others, and against what they disagree by themselves.
-                apart = [spread(one - two) ** 2 / 2.0 for one, two in pairwise(theirs.T)]
-                disagreement = np.mean(apart, axis=0)
-                own = spread(mine - theirs.mean(axis=1)) ** 2 - disagreement / len(peers)
-                agreed = _ratio(survey, rows, own, disagreement)
-                grown = agreed.surely & (agreed.noise > factor * _usual(agreed.noise))
-                grown &= agreed.ratio > factor * _usual(agreed.ratio)
-                shown = logged if found.any() else agreed
-                found |= grown
+            mine = spread(deviation[rows, channel])
+            others = np.column_stack([spread(deviation[rows, k]) for k in peers])
+            theirs = np.sqrt((others**2).mean(axis=1))
+            alone = spread(own[rows, channel])
+            counts = _window_counts(survey, rows)
+            logged = _ratio(survey, counts, mine, theirs)
+            found = logged.beyond & (mine > least)
+            common = _common(np.column_stack([mine, others]))
+            grown = _ratio(survey, counts, alone, _usual(alone, common))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                relative = mine / common
+            louder = _ratio(survey, counts, relative, _usual(relative, common))
+            shown = logged if found.any() else grown
+            found |= grown.beyond & louder.more & (alone > least)
             low[:, channel], high[:, channel] = shown.low, shown.high
             accused[:, channel] = np.where(found, channel + 1, 0)
         return [
@@ -106,42 +113,61 @@ class NoiseDetector:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseRatio:
-    """Noise of a channel and its ratio to that of others in every window.
+    """How much noisier than something else a channel is in every window.
 
     Parameters
     ----------
-    noise, ratio, low, high : (n_windows,)
-        Noise [rad/s], ratio and its interval [1]; NaN where there are too few readings.
-    surely : (n_windows,) bool
-        Whether the ratio is beyond the tolerance at the family-wise confidence.
+    low, high : (n_windows,)
+        Interval of the ratio; NaN where there are too few readings. [1]
+    more : (n_windows,) bool
+        Whether it is more than one at the family-wise confidence, and more than healthy gyros have.
+    beyond : (n_windows,) bool
+        Whether the interval is beyond the tolerance, and more than healthy gyros have at the
+        family-wise confidence; two conditions, as for a bias.
     """
 
-    noise: Floats
-    ratio: Floats
     low: Floats
     high: Floats
-    surely: NDArray[np.bool_]
+    more: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
 
 
-def _ratio(survey: Survey, rows: NDArray[np.int64], mine: Floats, theirs: Floats) -> NoiseRatio:
-    """Compare noise powers over windows; the interval is that of the logarithm of their ratio."""
+def _ratio(survey: Survey, n: NDArray[np.int64], mine: Floats, theirs: Floats) -> NoiseRatio:
+    """Compare noise over windows; the interval is that of the logarithm of their ratio."""
     config = survey.config
-    n = _window_counts(survey, rows)
     known = (n >= FEWEST_SAMPLES) & (mine > 0) & (theirs > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        log_ratio = np.where(known, 0.5 * np.log(mine / theirs), np.nan)
-        doubt = np.sqrt(2.0 * MEDIAN_VARIANCE * SHARED_READINGS / n)
+        log_ratio = np.where(known, np.log(mine / theirs), np.nan)
+        doubt = np.sqrt(2.0 * CAPPED_VARIANCE * SHARED_READINGS / n)
     strict = family_wise_confidence(config, survey.windows.length_s, len(survey.table.channels))
     dof = np.maximum(n / SHARED_READINGS, 1.0)
     half = student_quantile(dof, config.windows.confidence) * doubt
     least = log_ratio - student_quantile(dof, strict) * doubt
+    tolerance = np.log(config.tolerance.noise_factor)
+    # Healthy gyros have a third of the tolerance: it is three sigma, as for biases.
+    healthy = tolerance / 3.0
     return NoiseRatio(
-        noise=np.where(known, np.sqrt(np.maximum(mine, 0.0)), np.nan),
-        ratio=np.exp(log_ratio),
         low=np.exp(log_ratio - half),
         high=np.exp(log_ratio + half),
-        surely=known & (least > np.log(config.tolerance.noise_factor)),
+        more=known & (least > 0.0) & (log_ratio > healthy),
+        beyond=known & (least > healthy) & (log_ratio - half > tolerance),
     )
+
+
+@lru_cache(maxsize=1)
+def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
+    """Noise that every channel shows, and what of it the others do not, as white sigmas. [rad/s]
+
+    Returns
+    -------
+    deviation, own : (n_samples, n_channels)
+    """
+    deviation = deviations(table)
+    own = [
+        innovations(table, channel, noise_peers(table, channel), deviation[:, channel])[0]
+        for channel in range(len(table.channels))
+    ]
+    return deviation / DEVIATION_GAIN, np.column_stack(own)
 
 
 def _window_counts(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -150,10 +176,7 @@ def _window_counts(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64]) -> Floats:
-    """Robust sigma in every window of values given at some samples, about zero.
-
-    A median, so that the edges of a step and a few impulses are not taken for noise.
-    """
+    """Sigma in every window of values given at some samples, about zero, what is far off capped."""
     first = np.searchsorted(rows, survey.windows.start)
     counts = _window_counts(survey, rows)
     sigmas = np.full(len(counts), np.nan)
@@ -162,19 +185,59 @@ def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64]) -> F
         here = np.flatnonzero(counts == count)
         view = np.lib.stride_tricks.sliding_window_view(size, count)
         for block in np.array_split(here, 1 + len(here) * int(count) // BLOCK_READINGS):
-            sigmas[block] = NORMAL_MEDIAN * np.median(view[first[block]], axis=1)
+            sigmas[block] = capped_sigma(view[first[block]])
     return sigmas
 
 
-def _usual(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.quantile(known, USUAL)) if len(known) else np.inf
+def capped_sigma(size: Floats) -> Floats:
+    """Sigma of readings along the last axis, given their moduli, those beyond `CAP` capped."""
+    usual = NORMAL_MEDIAN * np.median(size, axis=-1, keepdims=True)
+    # At rest most readings may repeat; then the others are noise all the same.
+    cap = np.where(usual > 0.0, CAP * usual, np.inf)
+    sigma: Floats = np.sqrt((np.minimum(size, cap) ** 2).mean(axis=-1))
+    return sigma
 
 
-def _peers(survey: Survey, channel: int) -> NDArray[np.int64]:
+def _common(noise: Floats) -> Floats:
+    """Tell the vibration that all gyros feel, which a noisy one of them does not raise.
+
+    Parameters
+    ----------
+    noise : (n_windows, k)
+        Of the gyros of an axis; each feels a share of its own, which is usual for it. [rad/s]
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        loudness = np.log(noise)
+        share = loudness - np.median(loudness, axis=1, keepdims=True)
+        known = np.isfinite(share).all(axis=1)
+        if known.any():
+            loudness = loudness - np.quantile(share[known], USUAL, axis=0)
+        common: Floats = np.where(known, np.exp(loudness.min(axis=1)), np.nan)
+    return common
+
+
+def _usual(values: Floats, theirs: Floats) -> Floats:
+    """Take what values usually are from windows in which the vibration is about the same."""
+    usual = np.full(len(values), np.nan)
+    known = np.flatnonzero(np.isfinite(values) & (theirs > 0.0))
+    octave = np.log2(theirs[known])
+    order = np.argsort(octave)
+    ordered, sorted_values = octave[order], values[known][order]
+    step = np.floor(2.0 * ordered) / 2.0
+    for half_octave in np.unique(step):
+        middle = half_octave + 0.25
+        first, last = np.searchsorted(
+            ordered, [middle - COMPARABLE_OCTAVES, middle + COMPARABLE_OCTAVES]
+        )
+        here = known[order[step == half_octave]]
+        usual[here] = np.quantile(sorted_values[first:last], USUAL)
+    return usual
+
+
+def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:
     """Channels whose noise is comparable: those along the same axis, else all others."""
-    axes = survey.table.axes
-    along = survey.table.along(channel)
+    axes = table.axes
+    along = table.along(channel)
     if along.any():
         return np.flatnonzero(along)
     skewed = len(np.unique(np.round(np.abs(axes), 3), axis=0)) == len(axes) > 3

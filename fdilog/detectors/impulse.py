@@ -40,11 +40,11 @@ FEWEST_PEAKS = 20
 MIDDLING_DECAY = 0.3
 SECONDS_PER_HOUR = 3600.0
 # A peak counts as confirmed by another channel of the axis that is off by this part of it too, the
-# peak itself left out of what is expected there; and by any channel of another source whose
-# deviation from its neighbours stands out this far above its own level, as vibration alone does
-# once in a thousand readings.
+# peak itself left out of what is expected there, or deviates from its neighbours by as much and
+# more than vibration makes it once in a hundred readings; and by any channel of another source
+# that stands out so far above its own level as vibration makes it once in a thousand.
 CONFIRMED = 0.3
-CONFIRMING_LEVELS = 3.0
+CONFIRMING_LEVELS, CONFIRMING_LEVELS_ON_AXIS = 3.0, 1.5
 # Around an impulse the channel is where the others are: the means over two readings before and
 # after differ by less than this part of it. At a step, where a bias begins or ends, by all of it.
 RETURNED = 0.5
@@ -208,7 +208,11 @@ def _confirmed(
         beside = rows[np.clip(here[:, None] + np.array([-1, 0, 1]), 0, len(rows) - 1)]
         most = shown[beside].max(axis=1)
         if described.source != source:
-            confirmed |= most > CONFIRMING_LEVELS * _levels(table, other, shown)[beside[:, 1]]
+            level = _levels(table, other, shown)[beside[:, 1]]
+            confirmed |= most > CONFIRMING_LEVELS * level
+            if other in axis.channels:
+                beyond = most > CONFIRMING_LEVELS_ON_AXIS * level
+                confirmed |= beyond & (most > CONFIRMED * size)
         elif len(axis.channels) == 1:
             confirmed |= most > CONFIRMED * size
     return confirmed

@@ -1,0 +1,94 @@
+"""What neighbours and other gyros tell of a reading, and what stands out of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fdilog.analysis import judge
+from fdilog.config import Config
+from fdilog.prediction import deviations, innovations
+from fdilog.table import ChannelTable
+from tests.tables import DEG, table_of
+
+CONFIG = Config().replace("detectors", use=("parity", "impulse", "noise"))
+
+
+def shaken(n_triads: int, *, seconds: float = 90.0, size_deg_s: float = 6.0) -> ChannelTable:
+    """Triads at 25 Hz that feel one vibration each in its own measure, and a little noise."""
+    rng = np.random.default_rng(8)
+    time_s = np.arange(round(seconds * 25.0)) / 25.0
+    phase = 2 * np.pi * np.cumsum(8.0 + 1.5 * np.sin(0.2 * time_s)) / 25.0
+    swelling = 1.0 + 0.5 * np.sin(0.5 * time_s)
+    columns = [
+        np.sqrt(2.0) * size_deg_s * DEG * gain * swelling * np.sin(phase + 0.3 * gain + axis)
+        for gain in np.linspace(0.8, 1.2, n_triads)
+        for axis in range(3)
+    ]
+    rate: NDArray[np.float64] = np.column_stack(columns)
+    return table_of(time_s, rate + rng.normal(0.0, 0.3 * DEG, rate.shape))
+
+
+def test_vibration_is_told_by_the_other_gyros_far_better_than_by_neighbours() -> None:
+    table = shaken(3)
+    deviation = deviations(table)[:, 4]
+    left, weights = innovations(table, 4, np.array([1, 7]), deviation)
+    assert np.std(left) < 0.1 * np.std(deviation)
+    assert weights.shape == (2,)
+
+
+def test_without_peers_or_readings_enough_the_deviation_is_what_is_left() -> None:
+    table = shaken(2)
+    deviation = deviations(table)[:, 0]
+    for part, peers in ((table, np.zeros(0, np.int64)), (table.between(0.0, 1.0), np.array([3]))):
+        own = deviations(part)[:, 0]
+        left, weights = innovations(part, 0, peers, own)
+        np.testing.assert_array_equal(left, own)
+        assert not weights.any()
+    assert deviation.any()
+
+
+@pytest.mark.parametrize("n_triads", [2, 3])
+@pytest.mark.parametrize("channel", [0, 4])
+def test_an_impulse_below_the_vibration_accuses_its_channel_alone(
+    n_triads: int, channel: int
+) -> None:
+    table = shaken(n_triads)
+    rate = table.rate_rad_s.copy()
+    rate[1000, channel] += 20.0 * DEG
+    # The neighbours alone would not show it: the vibration deviates by as much all the time.
+    assert np.abs(deviations(table)[:, channel]).max() > 15.0 * DEG
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("impulse", (table.names[channel],))
+    assert finding.start_s == finding.end_s == pytest.approx(40.0)
+    assert finding.size is not None
+    assert finding.size.low < 20.0 * DEG < finding.size.high
+
+
+def test_a_blow_that_every_gyro_feels_in_its_own_measure_is_no_impulse() -> None:
+    table = shaken(2)
+    rate = table.rate_rad_s.copy()
+    rate[1000] += 120.0 * DEG * np.array([1.0, 0.9, 0.8, 0.6, 0.7, 0.9])
+    assert judge(table_of(table.time_s, rate), CONFIG).findings == ()
+
+
+def test_noise_of_one_gyro_is_told_from_the_vibration_that_all_feel() -> None:
+    for n_triads in (2, 3):
+        table = shaken(n_triads)
+        rng = np.random.default_rng(9)
+        rows = (table.time_s >= 30.0) & (table.time_s < 50.0)
+        rate = table.rate_rad_s.copy()
+        # No more than twice the noise that it reads anyway, and so below any ratio to the others.
+        rate[rows, 3] += rng.normal(0.0, 12.0 * DEG, int(rows.sum()))
+        (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+        assert (finding.kind, finding.suspects) == ("noise", ("imu1.x",))
+        assert finding.start_s == pytest.approx(30.0, abs=0.3)
+        assert finding.end_s == pytest.approx(50.0, abs=0.3)
+
+
+def test_vibration_that_swells_for_all_is_nobodys_noise() -> None:
+    table = shaken(3)
+    rate = table.rate_rad_s.copy()
+    rate[(table.time_s >= 30.0) & (table.time_s < 50.0)] *= 6.0
+    assert judge(table_of(table.time_s, rate), CONFIG).findings == ()
