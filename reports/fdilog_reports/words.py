@@ -136,7 +136,15 @@ def rounded(low: float, high: float, estimate: float) -> tuple[str, str, str]:
 def _rounded(value: float, quantum: Decimal, rounding: str) -> str:
     # Twelve digits first: what lies beyond them is the rounding of a change of unit.
     text = str(Decimal(f"{value:.{SIGNIFICANT}g}").quantize(quantum, rounding))
-    return text.removeprefix("-") if text.startswith("-") and not text.strip("-0.E+") else text
+    text = text.removeprefix("-") if text.startswith("-") and not text.strip("-0.E+") else text
+    return text if "E" in text else _grouped(text)
+
+
+def _grouped(text: str) -> str:
+    """Part the digits before the point in groups of three, from five on, as `count` does."""
+    whole, point, rest = text.partition(".")
+    sign, digits = whole[: -len(whole.lstrip("-"))], whole.lstrip("-")
+    return f"{sign}{count(int(digits))}{point}{rest}" if len(digits) > 4 else text
 
 
 def _exponent(value: float) -> int:
