@@ -311,7 +311,7 @@ def judge(
     names = config.detectors.use or _default_order(plugins("detectors"))
     chosen = list(detectors(names))
     progress("mounting")
-    mounted = mountings(table)
+    mounted = mountings(table, one_frame=witness is None or witness.one_frame)
     table = turned_back(table, mounted.found)
     gyros = table.gyros
     whole = Survey(

@@ -91,8 +91,15 @@ class Mountings:
         return notes
 
 
-def mountings(table: ChannelTable) -> Mountings:
-    """Find every device whose rates are those of another mounting than the table assumes."""
+def mountings(table: ChannelTable, *, one_frame: bool = True) -> Mountings:
+    """Find every device whose rates are those of another mounting than the table assumes.
+
+    Parameters
+    ----------
+    one_frame
+        Whether derived channels are known to be in the body frame of the gyros. If not, a single
+        device may differ from them all along and still be mounted as it should be.
+    """
     flight = _Flight.of(table)
     found = sorted(
         (
@@ -100,6 +107,7 @@ def mountings(table: ChannelTable) -> Mountings:
             for source, others in flight.compared()
             for turn in turns(flight.reference(others), flight.means[source])
             if not flight.disputed(others, turn)
+            if one_frame or others != flight.derived or turn.begins or turn.ends
         ),
         key=lambda one: (one.start, one.source),
     )

@@ -40,7 +40,7 @@ def in_words(seen: Sensitivity, *, markdown: bool = False) -> str:
 
 def _explained(seen: Sensitivity) -> list[str]:
     starts = ", ".join(f"{start:.1f}" for start in seen.starts_s)
-    untried = [kind for kind in (*SCALES, "saturated") if kind not in seen.kinds]
+    untried = [kind for kind in (*SCALES, "saturated", "mounting") if kind not in seen.kinds]
     lines = [
         (
             "One number: found, and no other channel named with it. Two: found / named alone from"

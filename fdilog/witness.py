@@ -63,12 +63,15 @@ class Witness:
         What it is held against.
     clock
         By how much its stamps run late against the gyros, which has been put right.
+    one_frame
+        Whether it is known to be in the body frame of the gyros.
     """
 
     stream: str
     attitude: Attitude
     anchors: Anchors
     clock: ClockOffset | None = None
+    one_frame: bool = True
 
 
 def attitude_stream(recording: Recording) -> Stream | None:
@@ -144,7 +147,11 @@ def find_witness(
         tilt_deg = np.degrees(flight.tilt_rad)
         return f"lost: {tilt_deg:.0f} deg from the accelerometers' vertical for half of the flight"
     return with_attitude, Witness(
-        stream=stream.name, attitude=attitude, anchors=anchors, clock=clock
+        stream=stream.name,
+        attitude=attitude,
+        anchors=anchors,
+        clock=clock,
+        one_frame=recording.format in ONE_BODY_FRAME,
     )
 
 

@@ -112,6 +112,15 @@ def test_a_single_device_is_held_against_the_attitude() -> None:
     assert finding.witness == "att"
 
 
+@pytest.mark.parametrize(("start_s", "found"), [(0.0, 0), (30.0, 1)])
+def test_an_attitude_of_an_unknown_frame_tells_changes_alone(start_s: float, found: int) -> None:
+    fault = mounted("imu0.z", HALF, start_s=start_s)
+    flight = simulate(80.0, 25.0, sources=1, seed=3, faults=[fault])
+    table = assemble(flight.recording(), Config()).table
+    assert len(mountings(table, one_frame=False).found) == found
+    assert len(mountings(table).found) == 1
+
+
 def test_a_single_device_that_turns_in_flight_is_held_against_the_attitude() -> None:
     finding = only(analysis(mounted("imu0.z", HALF, start_s=30.0, end_s=55.0), sources=1))
     assert finding.start_s == pytest.approx(30.0, abs=0.5)

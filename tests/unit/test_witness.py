@@ -289,7 +289,10 @@ def test_the_attitude_of_another_body_is_not_used() -> None:
         other = product(q, np.tile([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (len(q), 1)))
         return replace(stream, columns=dict(zip(("qw", "qx", "qy", "qz"), other.T, strict=True)))
 
-    infos = assemble(with_attitude(flown(1).recording(), swapped), CONFIG).sources
-    (about,) = [info for info in infos if info.name == "att"]
-    assert not about.used
-    assert "contradicts" in about.reason
+    # In a robot's log it is that of another body; an autopilot has one body, and a wrong mounting.
+    robot = replace(with_attitude(flown(1).recording(), swapped), format="rosbag1")
+    for recording, used in ((robot, False), (replace(robot, format="dataflash"), True)):
+        infos = assemble(recording, CONFIG).sources
+        (about,) = [info for info in infos if info.name == "att"]
+        assert about.used == used
+        assert used or "contradicts" in about.reason
