@@ -193,3 +193,18 @@ def test_motion_about_one_axis_leaves_several_mountings_and_names_what_it_tells(
     assert len(turn.standing) == 8
     assert turn.differs.tolist() == [False, False, True]
     assert turn.matrix[2, 2] == -1.0
+
+
+@pytest.mark.parametrize("size", [None, QUARTER, HALF])
+def test_the_time_offset_of_a_device_is_told_however_it_is_mounted(size: float | None) -> None:
+    flight = simulate(80.0, 25.0, sources=2, seed=3, faults=[mounted("imu1.z", size)])
+    recording = flight.recording(attitude=False)
+    late = tuple(
+        replace(stream, time_ns=stream.time_ns + 30_000_000) if stream.sensor == 1 else stream
+        for stream in recording.streams
+    )
+    before, after = (
+        assemble(replace(recording, streams=streams), Config()).clocks[0].offset_s
+        for streams in (recording.streams, late)
+    )
+    assert after - before == pytest.approx(0.030, abs=0.003)
