@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from fdilog import analyse
+from fdilog import analyse, read
 from fdilog_reports import html, markdown
 from fdilog_reports import json as json_report
 from tests.unit.test_report_json import validate
@@ -23,8 +24,24 @@ def test_a_recorded_flight_gives_all_three_reports(real_logs: Path, name: str) -
     validate(json.loads(json_report.render(made)))
     page = html.render(made)
     assert name in page
-    assert len(page.encode()) < 500_000
+    assert len(page.encode()) < 2_000_000
     assert f"**{page.partition('<title>')[2].partition(':')[0]}.**" in markdown.render(made)
+
+
+@pytest.mark.parametrize("name", ["quad_2imu_50hz_b.bin", "truncated_64k.bin"])
+def test_no_report_tells_where_the_aircraft_was(real_logs: Path, name: str) -> None:
+    log = real_logs / "dataflash" / name
+    gps = next(stream for stream in read(log, ["GPS"]).streams if stream.name == "GPS")
+    made = analyse(log)
+    said = [
+        markdown.render(made), json_report.render(made), made.to_text(), made._repr_html_(),
+        html.render(made).partition("<script")[0],
+    ]  # fmt: skip
+    for field in ("Lat", "Lng"):
+        degrees = np.unique(np.round(np.abs(gps.columns[field]), 3))
+        known = [f"{value:.3f}" for value in degrees if value > 1.0]
+        assert known
+        assert not [value for value in known for text in said if value in text]
 
 
 def test_the_crash_is_drawn_with_its_peak_and_its_hole(real_logs: Path) -> None:
