@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fdilog.accusations import Accusation, clusters, region
 from fdilog.config import Config
@@ -36,7 +37,13 @@ def aligned_windows(table: ChannelTable, evidence: Sequence[Evidence]) -> Window
     evidence
         Of the leading detector, over regular windows; with intervals for a bias.
     """
-    hints = [hint for item in evidence for hint in _hints(item)]
+    known = _accused(table, evidence)
+    hints = [
+        hint
+        for item in evidence
+        for hint in _hints(item)
+        if not known[hint.start : hint.stop, min(hint.suspects)].all()
+    ]
     found: set[tuple[int, int]] = set()
     while hints:
         left: list[Accusation] = []
@@ -64,6 +71,17 @@ def for_aligned(config: Config) -> Config:
     """Return the settings for windows of which each was chosen from `PLACEMENTS`."""
     doubt = (1.0 - config.windows.confidence) / PLACEMENTS
     return config.replace("windows", confidence=1.0 - doubt)
+
+
+def _accused(table: ChannelTable, evidence: Sequence[Evidence]) -> NDArray[np.bool_]:
+    """Tell where a channel is accused by some window: no hints are needed there, by sample."""
+    edges = np.zeros((len(table.time_s) + 1, len(table.channels)), np.int32)
+    for item in evidence:
+        rows, channels = np.nonzero(item.accused)
+        np.add.at(edges, (item.windows.start[rows], channels), 1)
+        np.add.at(edges, (item.windows.stop[rows], channels), -1)
+    accused: NDArray[np.bool_] = np.cumsum(edges, axis=0)[:-1] > 0
+    return accused
 
 
 def _hints(evidence: Evidence) -> Iterator[Accusation]:
