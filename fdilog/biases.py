@@ -6,19 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fdilog.accusations import Accusation, Cluster, accusations, clusters, region
 from fdilog.config import Config
 from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Finding, Size
-from fdilog.isolation import compare, isolate
+from fdilog.geometry import leave_one_out
+from fdilog.isolation import isolate
+from fdilog.noise import windowed_mean
 from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of
 from fdilog.table import ChannelTable
 from fdilog.testimony import Statement
 from fdilog.traces import trace_of
-from fdilog.windows import Moments, Survey, spans
+from fdilog.windows import FEWEST_PRESENT, Moments, Survey, spans
 from fdilog.witness import SOURCE
 
+# A second whose noise has less than twice the usual spread is quiet.
+QUIET = 0.25
 Hearing = Callable[[Sequence[int], tuple[int, int]], Statement]
 """Asks the witness which of some gyros was off over a span of samples."""
 
@@ -76,7 +81,7 @@ def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
-    """Narrow the suspects by the joint test over the whole span, the strongest that there is."""
+    """Hold the suspects against the joint test over the whole span, the strongest there is."""
     moments = _moments(table, fault, config)
     if moments is None:
         return fault
@@ -86,8 +91,11 @@ def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
     groups = [
         frozenset(channels[accused == group].tolist()) for group in np.unique(accused[accused > 0])
     ]
-    mine = [group & fault.suspects for group in groups if group & fault.suspects]
-    suspects = mine[0] if len(mine) == 1 else fault.suspects
+    mine = [group for group in groups if group & fault.suspects]
+    suspects = fault.suspects
+    if len(mine) == 1:
+        # One window may have named fewer only because it knew too little of the others.
+        suspects = mine[0] if mine[0] > suspects else mine[0] & suspects
     others = frozenset[int]().union(*(group for group in groups if not group & suspects))
     return replace(fault, suspects=suspects, removed=others)
 
@@ -211,27 +219,47 @@ def _testified(names: tuple[str, ...], said: Statement) -> str:
 def _size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
     """Mean error of the first suspect over the span, with its Student interval.
 
+    Where hard vibration in a part of the span leaves not even the sign known, the longest stretch
+    without it is measured.
+    """
+    size = _mean_error(table, fault, config)
+    if size is None or size.low > 0.0 or size.high < 0.0:
+        return size
+    trace = trace_of(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
+    if trace is None:
+        return size
+    first, last = _longest(trace.weight() > QUIET)
+    quiet = replace(fault.shape, start=int(trace.rows[first]), stop=int(trace.rows[last - 1]) + 1)
+    return _mean_error(table, replace(fault, shape=quiet), config) or size
+
+
+def _longest(these: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the longest run of ones: its first sample, and one past its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], these, [False]]).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    first, last = runs[int((runs[:, 1] - runs[:, 0]).argmax())]
+    return int(first), int(last)
+
+
+def _mean_error(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
+    """Mean error of the first suspect over the span, with its Student interval.
+
     It is measured against the plain least-squares prediction from the sound channels, in the
     readings as logged: the offset that the others agree on is the truth it can be held against.
     """
-    moments = _moments(table, fault, config)
-    if moments is None:
+    channel = min(fault.suspects)
+    span = slice(fault.start, fault.stop)
+    absent = np.flatnonzero(table.valid[span].mean(axis=0) < FEWEST_PRESENT)
+    row = leave_one_out(table.axes, sorted(fault.removed.union(absent.tolist())))[channel]
+    if not bool(np.isfinite(row).all()):
         return None
-    channels = list(moments.channels)
-    first = channels.index(min(fault.suspects))
-    measured = compare(
-        moments,
-        table.axes[channels],
-        np.ones(len(channels)),
-        removed=[channels.index(c) for c in sorted(fault.removed) if c in channels],
-        config=config,
-        family_confidence=config.windows.confidence,
-    )
-    if not measured.tested[first]:
+    needed = np.flatnonzero(row != 0.0)
+    complete = table.valid[span, needed].all(axis=1)
+    looks = windowed_mean((table.rate_rad_s[span, needed][complete] @ row[needed])[None, :, None])
+    if not looks.dof[0] > 0.0:
         return None
-    return size_of(
-        float(measured.error[0, first]), float(measured.half_width[0, first]), "bias", config
-    )
+    half_width = float(looks.half_width(np.ones(1), config.windows.confidence)[0])
+    return size_of(float(looks.mean[0, 0]), half_width, "bias", config)
 
 
 def _sides(

@@ -19,6 +19,7 @@ from fdilog.prediction import deviations, innovations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
+from fdilog.traces import MANOEUVRE_S
 from fdilog.windows import Survey, spans
 
 Floats = NDArray[np.float64]
@@ -53,6 +54,9 @@ RETURNING_READINGS = 2
 # shocks turn the airframe about one axis alone: landings of recorded flights reach 58 deg/s, six
 # times the tolerance.
 ALONE_FACTOR = 6.0
+# Nor does a turn that two readings span look like anything but an impulse: alone, a gyro must be
+# read at least so many times while the quickest manoeuvre lasts.
+READINGS_A_MANOEUVRE = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +171,8 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     limit = float(np.radians(config.tolerance.impulse_deg_s)) * (ALONE_FACTOR if alone else 1.0)
     off, level = axis.off[:, place], axis.level[:, place]
     size = np.abs(off)
-    if not len(size) or size.max() <= limit:
+    too_slow = table.channels[channel].rate_hz * MANOEUVRE_S < READINGS_A_MANOEUVRE
+    if not len(size) or size.max() <= limit or (alone and too_slow):
         return []
     peaks = np.flatnonzero(table.valid[:, channel] & (size > level))
     peaks = peaks[~_confirmed(table, axis, place, peaks)]

@@ -88,6 +88,18 @@ def test_a_bias_that_the_vibration_of_its_imu_hides_at_times_is_one_finding(
     assert biases[0].end_s == pytest.approx(187.2, abs=1.0)
 
 
+def test_a_slow_wander_of_two_gyros_does_not_blur_the_size_of_a_bias_of_the_third(
+    real_logs: Path,
+) -> None:
+    recording = fdilog.read(real_logs / "dataflash" / "copter_3imu_vibration_crash.bin")
+    changed = with_bias(recording, 1, 0, start_s=50.0, length_s=20.0, deg_s=1.5)
+    (bias,) = (f for f in analyse_recording(changed, Config()).findings if f.kind == "bias")
+    assert bias.suspects == ("imu1.x",)
+    assert bias.size is not None
+    # 1.54 deg/s, its own offset of the untouched log included.
+    assert np.radians(1.3) < bias.size.low < np.radians(1.54) < bias.size.high < np.radians(1.8)
+
+
 @pytest.mark.parametrize(
     ("name", "sensor", "axis", "start_s"),
     [

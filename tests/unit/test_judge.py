@@ -199,3 +199,12 @@ def test_the_verdict_follows_from_the_channels(
     status: tuple[str, ...], whole: bool, verdict: str
 ) -> None:
     assert conclude(status, whole=whole) == verdict  # type: ignore[arg-type]
+
+
+def test_a_lone_gyro_that_is_read_slowly_cannot_tell_an_impulse_from_a_turn() -> None:
+    table = triads(1)
+    for every, expected in ((1, {"impulse"}), (13, set())):  # 50 Hz, and 3.8 Hz
+        time_s, rate = table.time_s[::every], table.rate_rad_s[::every].copy()
+        rate[len(rate) // 2, 0] += 300.0 * DEG
+        found = judge(table_of(time_s, rate), CONFIG).findings
+        assert {finding.kind for finding in found} == expected
