@@ -23,7 +23,7 @@ from fdilog_readers.losses import PLACES_LISTED
 from fdilog_readers.message_batch import Batch, side_by_side
 from fdilog_readers.message_reading import open_topic
 from fdilog_readers.rosbag2_last_page import mend
-from fdilog_readers.rosbag2_pages import place_of_row
+from fdilog_readers.rosbag2_pages import Leaves, place_of_row
 from fdilog_readers.topics import Topic, Topics
 
 MAGIC = b"SQLite format 3\x00"
@@ -216,11 +216,29 @@ class _Messages:
         if last == FIRST_ID:
             last = 0  # SQLite numbers from one
         good = self._first_readable(last)
-        lost = f"; {good - last} messages are lost" if good is not None else ", and so is the rest"
+        saved = self._save(last, self._last_id if good is None else good)
+        lost = "" if saved else ", and so is the rest"
+        if good is not None:
+            lost = f"; {good - last - saved} messages are lost"
+        if saved:
+            lost += f"; {saved} were found on pages that nothing leads to"
         what = f"{self.name} is damaged ({error}){lost}"
         self._lost(what, last + 1, last + 1 if good is None else good)
         # Rows fill a page from its end: damage may begin inside the first that can be read again.
         return good
+
+    def _save(self, last: int, most: int) -> int:
+        """Take the rows behind one number and up to another whose pages are whole; say how many."""
+        saved = 0
+        for rows in self._leaves.rows(last, most):
+            real = [row for row in rows if row[1] in self._topic_of]
+            saved += len(real)
+            last = self._take(real, last) if real else last
+        return saved
+
+    @cached_property
+    def _leaves(self) -> Leaves:
+        return Leaves.of(self.path, self.page_bytes)
 
     def _first_readable(self, last: int) -> int | None:
         """Try ever longer strides, then the ones between; None if nothing more can be had."""

@@ -26,8 +26,8 @@ BYTE_ORDER_MARK = "\ufeff"
 UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 BLOCK_BYTES = 1 << 22
 NEWLINE, RETURN, COMMA = b"\n\r,"
-# No text holds it; where it stands, what is around it may be parts of two lines.
-NUL = b"\0"
+# No text holds these; where one stands, what is around it may be parts of two lines.
+CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f\x7f]")
 # Words for a reading that is not there, as pandas, R, MATLAB and spreadsheets write them.
 MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "null", "none"}
 NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|inf|infinity)", re.IGNORECASE)
@@ -188,13 +188,13 @@ class _Table:
         for k in np.flatnonzero(kept & ~regular).tolist():
             line = block[begins[k] : ends[k]].tobytes()
             row, words = self._row(line)
-            kept[k] = len(row) == len(self._headers) and NUL not in line
+            kept[k] = len(row) == len(self._headers) and not CONTROL.search(line)
             if kept[k]:
                 rows[k] = row
                 self._tell_words(words, k, start + int(begins[k]))
             else:
                 what = f"{len(row)} cells where the header has {len(self._headers)}"
-                what = "bytes that are no text" if NUL in line else what
+                what = "bytes that are no text" if CONTROL.search(line) else what
                 self._tell(k, start + int(begins[k]), start + int(ends[k]) + 1, what)
         for k in np.flatnonzero(kept & ~np.isfinite(rows[:, self._key])).tolist():
             what = f"no number in '{self._headers[self._key]}'"

@@ -151,3 +151,19 @@ def test_a_hole_in_nothing_but_a_message_index_is_told(tmp_path: Path, kind: str
     assert loss.offset is not None
     assert loss.offset <= end
     assert loss.offset + (loss.bytes_lost or 0) >= at
+
+
+def test_rows_are_found_though_no_page_leads_to_them(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    raw = bytearray(path.read_bytes())
+    whole = rows(read_log(path))
+    inner = [page for page in range(1, len(raw) // 4096) if raw[4096 * page] == 5]
+    for page in inner:
+        raw[4096 * page : 4096 * (page + 1)] = bytes(4096)
+    assert inner
+    path.write_bytes(raw)
+    recording = read_log(path)
+    assert rows(recording) == whole
+    (loss,) = [problem for problem in recording.problems if not problem.note]
+    assert "1800 were found on pages that nothing leads to" in loss.what
+    assert loss.offset in {4096 * page for page in inner}

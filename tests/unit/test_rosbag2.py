@@ -190,7 +190,7 @@ def test_a_damaged_file_gives_what_can_be_read(bag: Path) -> None:
         for name, imus in (("/imu/left", LEFT), ("/imu/right", RIGHT))
     ]
     lost = len(LEFT) + len(RIGHT) - sum(counts)
-    assert 3 * 8 <= lost <= 3 * 12
+    assert 2 * 8 <= lost <= 2 * 12  # the page between them holds a part of an index
     told = [what for what in losses(recording) if "messages are lost" in what]
     assert sum(int(what.split("; ")[1].split()[0]) for what in told) == lost
 
