@@ -42,6 +42,9 @@ FEWEST_BEYOND = 10
 LEAST_EXCESS = 5.0
 """Ten half seconds beyond tolerance, five more than that share of the span would have."""
 
+SHORTEST_S = 1e-9
+"""No clock of a log tells less apart."""
+
 SHAPES = ("bias", "drift", "scale")
 
 
@@ -249,7 +252,7 @@ def _cells(table: ChannelTable, columns: list[int], doubtful: Bools) -> _Cells |
             square = np.add.reduceat(readings[:, i] * readings[:, j], start) / count
             apart = (square - mean[:, i] * mean[:, j]) / np.maximum(count - 1, 1)
             scatter[:, i, j] = scatter[:, j, i] = apart
-    elapsed = np.maximum(time_s[last] - time_s[start], table.period_s)[:, None]
+    elapsed = np.maximum(time_s[last] - time_s[start], max(table.period_s, SHORTEST_S))[:, None]
     full = count >= max(FEWEST_SAMPLES / 2, float(np.median(count)) / 2)
     return _Cells(
         start_s=time_s[start][full],

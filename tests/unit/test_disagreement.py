@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
+from fdilog.disagreement import with_disagreement
 from fdilog.faults import Fault
 from fdilog.injection import inject
+from fdilog.mounting import mountings
 from fdilog.recording import Recording, Stream
 from fdilog.simulate import simulate
+from fdilog.sources import assemble
+from fdilog.table import ChannelTable
 
 OWN_FINDINGS = Config().replace(
     "detectors", use=("parity", "impulse", "dropout", "flatline", "noise")
@@ -118,3 +122,16 @@ def test_a_fault_of_a_known_kind_is_no_disagreement(fault: dict[str, Any]) -> No
 @pytest.mark.parametrize("seed", range(5))
 def test_a_healthy_flight_has_no_disagreement(seed: int) -> None:
     assert analyse_recording(flight(2, seed), OWN_FINDINGS).findings == ()
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2, 30])
+def test_a_flight_of_a_few_samples_tells_nothing(samples: int) -> None:
+    channels = assemble(flight(2), Config()).table.channels
+    table = ChannelTable(
+        time_s=0.04 * np.arange(samples),
+        rate_rad_s=np.zeros((samples, 6)),
+        valid=np.ones((samples, 6), bool),
+        channels=channels,
+    )
+    assert with_disagreement(table, table, [], Config()) == []
+    assert mountings(table).found == ()
