@@ -220,7 +220,11 @@ def _usual(values: Floats, theirs: Floats) -> Floats:
     """Take what values usually are from windows in which the vibration is about the same."""
     usual = np.full(len(values), np.nan)
     known = np.flatnonzero(np.isfinite(values) & (theirs > 0.0))
+    if not len(known):
+        return usual
     octave = np.log2(theirs[known])
+    # Counted from the middle of the flight, and off any reading: the unit must not matter.
+    octave -= np.median(octave) - 0.125
     order = np.argsort(octave)
     ordered, sorted_values = octave[order], values[known][order]
     step = np.floor(2.0 * ordered) / 2.0
