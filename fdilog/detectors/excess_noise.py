@@ -37,8 +37,8 @@ CAPPED_VARIANCE = 0.52
 NORMAL_MEDIAN = 1.4826
 # Readings gathered at a time, to bound the memory.
 BLOCK_READINGS = 1_000_000
-# What is usual is what the quietest quarter of the windows stays below: a fault may last for most
-# of a flight. The windows compared are those in which all gyros shake as much, within a factor of
+# What is usual is what the quietest quarter of a flight stays below: a fault may last for most of
+# it. The pieces compared are those in which all gyros shake as much, within a factor of
 # two: propellers and the ground make more of a difference than faults do.
 USUAL = 0.25
 COMPARABLE_OCTAVES = 1.0
@@ -87,13 +87,14 @@ class NoiseDetector:
             counts = _window_counts(survey, rows)
             logged = _ratio(survey, counts, mine, theirs)
             found = logged.beyond & (mine > least)
-            common = _common(np.column_stack([mine, others]))
-            grown = _ratio(survey, counts, alone, _usual(alone, common))
+            usual = _Usual.of(deviation[rows][:, [channel, *peers]], own[rows, channel])
+            common, loudest = usual.common(np.column_stack([mine, others]))
+            grown = _ratio(survey, counts, alone, usual.of_those(usual.own, common))
             with np.errstate(invalid="ignore", divide="ignore"):
                 relative = mine / common
-            louder = _ratio(survey, counts, relative, _usual(relative, common))
+            louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
             shown = logged if found.any() else grown
-            found |= grown.beyond & louder.more & (alone > least)
+            found |= grown.beyond & louder.more & loudest & (alone > least)
             low[:, channel], high[:, channel] = shown.low, shown.high
             accused[:, channel] = np.where(found, channel + 1, 0)
         return [
@@ -198,44 +199,86 @@ def capped_sigma(size: Floats) -> Floats:
     return sigma
 
 
-def _common(noise: Floats) -> Floats:
-    """Tell the vibration that all gyros feel, which a noisy one of them does not raise.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Usual:
+    """What a channel usually shows, by how much all gyros of the axis shake.
+
+    It is taken from pieces of `FEWEST_SAMPLES` readings whatever the windows, so that a fault for
+    most of a flight leaves some that are whole.
 
     Parameters
     ----------
-    noise : (n_windows, k)
-        Of the gyros of an axis; each feels a share of its own, which is usual for it. [rad/s]
+    share : (k,)
+        Logarithm of what each gyro usually feels of the vibration, the channel first.
+    shaking : (n,)
+        Logarithm of the vibration in the pieces, base two, rising.
+    own, relative : (n,)
+        The channel's own noise in them [rad/s], and what it shows over that vibration [1].
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        loudness = np.log(noise)
-        share = loudness - np.median(loudness, axis=1, keepdims=True)
-        known = np.isfinite(share).all(axis=1)
-        if known.any():
-            loudness = loudness - np.quantile(share[known], USUAL, axis=0)
-        common: Floats = np.where(known, np.exp(loudness.min(axis=1)), np.nan)
-    return common
 
+    share: Floats
+    shaking: Floats
+    own: Floats
+    relative: Floats
 
-def _usual(values: Floats, theirs: Floats) -> Floats:
-    """Take what values usually are from windows in which the vibration is about the same."""
-    usual = np.full(len(values), np.nan)
-    known = np.flatnonzero(np.isfinite(values) & (theirs > 0.0))
-    if not len(known):
-        return usual
-    octave = np.log2(theirs[known])
-    # Counted from the middle of the flight, and off any reading: the unit must not matter.
-    octave -= np.median(octave) - 0.125
-    order = np.argsort(octave)
-    ordered, sorted_values = octave[order], values[known][order]
-    step = np.floor(2.0 * ordered) / 2.0
-    for half_octave in np.unique(step):
-        middle = half_octave + 0.25
-        first, last = np.searchsorted(
-            ordered, [middle - COMPARABLE_OCTAVES, middle + COMPARABLE_OCTAVES]
+    @classmethod
+    def of(cls, deviation: Floats, own: Floats) -> _Usual:
+        """Take it from the deviations of a channel and its peers, (n, k), and its own noise."""
+        n = len(own) // FEWEST_SAMPLES
+        pieces = np.abs(np.column_stack([deviation, own])[: n * FEWEST_SAMPLES])
+        pieces = pieces.reshape(n, FEWEST_SAMPLES, pieces.shape[1])
+        sigma = capped_sigma(np.moveaxis(pieces, 1, 2))
+        sigma = sigma[(sigma > 0.0).all(axis=1)]
+        loudness = np.log(sigma[:, :-1])
+        apart = loudness - np.median(loudness, axis=1, keepdims=True)
+        share = np.quantile(apart, USUAL, axis=0) if len(apart) else np.zeros(deviation.shape[1])
+        common = (loudness - share).min(axis=1)
+        order = np.argsort(common)
+        return cls(
+            share=share,
+            shaking=common[order] / np.log(2.0),
+            own=sigma[order, -1],
+            relative=(sigma[:, 0] / np.exp(common))[order],
         )
-        here = known[order[step == half_octave]]
-        usual[here] = np.quantile(sorted_values[first:last], USUAL)
-    return usual
+
+    def common(self, noise: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Tell the vibration that all gyros feel, which a noisy one of them does not raise.
+
+        Parameters
+        ----------
+        noise : (n, k)
+            Of the gyros of the axis in windows, the channel first. [rad/s]
+
+        Returns
+        -------
+        common : (n,)
+            That vibration. [rad/s]
+        loudest : (n,) bool
+            Whether the channel is further above it, for its share, than any other.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            loudness = np.log(noise) - self.share
+            common: Floats = np.exp(loudness.min(axis=1))
+        loudest = (loudness[:, :1] >= loudness[:, 1:]).all(axis=1)
+        return common, np.asarray(loudest, bool)
+
+    def of_those(self, values: Floats, common: Floats) -> Floats:
+        """Take what values of the pieces usually are while the vibration is about the same."""
+        usual = np.full(len(common), np.nan)
+        known = np.flatnonzero(common > 0.0)
+        if not len(known) or not len(self.shaking):
+            return usual
+        # Counted from the middle of the flight, and off any reading: the unit must not matter.
+        zero = float(np.median(self.shaking)) - 0.125
+        steps = np.floor(2.0 * (np.log2(common[known]) - zero)) / 2.0
+        for step in np.unique(steps):
+            middle = zero + step + 0.25
+            first, last = np.searchsorted(
+                self.shaking, [middle - COMPARABLE_OCTAVES, middle + COMPARABLE_OCTAVES]
+            )
+            if last > first:
+                usual[known[steps == step]] = np.quantile(values[first:last], USUAL)
+        return usual
 
 
 def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:
