@@ -268,16 +268,14 @@ class _Usual:
         known = np.flatnonzero(common > 0.0)
         if not len(known) or not len(self.shaking):
             return usual
-        # Counted from the middle of the flight, and off any reading: the unit must not matter.
-        zero = float(np.median(self.shaking)) - 0.125
-        steps = np.floor(2.0 * (np.log2(common[known]) - zero)) / 2.0
-        for step in np.unique(steps):
-            middle = zero + step + 0.25
-            first, last = np.searchsorted(
-                self.shaking, [middle - COMPARABLE_OCTAVES, middle + COMPARABLE_OCTAVES]
-            )
-            if last > first:
-                usual[known[steps == step]] = np.quantile(values[first:last], USUAL)
+        shaking = np.log2(common[known])
+        first = np.searchsorted(self.shaking, shaking - COMPARABLE_OCTAVES)
+        last = np.searchsorted(self.shaking, shaking + COMPARABLE_OCTAVES)
+        pairs, which = np.unique(np.column_stack([first, last]), axis=0, return_inverse=True)
+        each = np.array(
+            [np.quantile(values[a:b], USUAL) if b > a else np.nan for a, b in pairs.tolist()]
+        )
+        usual[known] = each[which]
         return usual
 
 
