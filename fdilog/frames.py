@@ -34,8 +34,8 @@ def findings_frame(analysis: Analysis) -> pd.DataFrame:
     frame = pd.DataFrame(
         {name: pd.Series([row[name] for row in rows], dtype=kind) for name, kind in columns.items()}
     )
-    start_utc = analysis.log.start_utc
-    start_us = float("nan") if start_utc is None else 1e6 * pd.Timestamp(start_utc).timestamp()
+    start = pd.to_datetime(analysis.log.start_utc or "unknown", utc=True, errors="coerce")
+    start_us = float("nan") if start is pd.NaT else 1e6 * start.timestamp()
     for place, end in ((5, "start"), (6, "end")):
         micros = (start_us + 1e6 * frame[f"{end}_s"]).round()
         moment = pd.to_datetime(micros, unit="us", utc=True, errors="coerce")
