@@ -11,6 +11,7 @@ from fdilog.analysis import Part
 from fdilog.autopilot import AutopilotNote
 from fdilog.config import Config
 from fdilog.finding import Finding, Size
+from fdilog_reports import html
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
 from fdilog_reports.view import report
 from fdilog_reports.words import DEG_PER_RAD
@@ -226,7 +227,7 @@ def test_the_part_that_was_asked_for_is_a_fact_of_the_report() -> None:
     assert "(from 30 s while armed)" in facts["Analysed"]
 
 
-def test_the_autopilot_is_quoted_in_text_and_markdown() -> None:
+def test_the_autopilot_is_quoted_in_every_report() -> None:
     quote = AutopilotNote(
         source="IMU[1]", gyro="imu1", what="flagged unhealthy", start_s=1.0, end_s=2.5
     )
@@ -235,4 +236,8 @@ def test_the_autopilot_is_quoted_in_text_and_markdown() -> None:
     assert said.count("The autopilot: imu1 flagged unhealthy, from 1.0 s to 2.5 s (IMU[1]).") == 3
     assert "The autopilot: 2 more, in the reports (-o DIR) and in --json." in said
     assert made.to_markdown().count("| imu1 | flagged unhealthy |") == 5
+    page = html.render(made)
+    assert page.count('<td class="any wide" data-label="What">flagged unhealthy</td>') == 5
+    assert 'href="#autopilot"' in page
+    assert 'id="autopilot"' not in html.render(analysis())
     assert "autopilot" not in analysis().to_text()
