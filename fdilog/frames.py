@@ -35,7 +35,7 @@ def findings_frame(analysis: Analysis) -> pd.DataFrame:
         {name: pd.Series([row[name] for row in rows], dtype=kind) for name, kind in columns.items()}
     )
     start = pd.to_datetime(analysis.log.start_utc or "unknown", utc=True, errors="coerce")
-    start_us = float("nan") if start is pd.NaT else 1e6 * start.timestamp()
+    start_us = 1e6 * start.timestamp() if isinstance(start, pd.Timestamp) else float("nan")
     for place, end in ((5, "start"), (6, "end")):
         micros = (start_us + 1e6 * frame[f"{end}_s"]).round()
         moment = pd.to_datetime(micros, unit="us", utc=True, errors="coerce")
