@@ -23,8 +23,9 @@ from fdilog.windows import spans
 
 # A window with both edges placed to a tenth of its length was chosen from a hundred.
 PLACEMENTS = 100.0
-# Means of fewer readings are off too often by chance to be hints.
-FEWEST_READINGS = 20
+# Vibration near the logging rate comes back as a wander of a second or two, whose swells look like
+# steps to whoever may choose where to look; over five seconds it averages out.
+SHORTEST_S = 5.0
 # Keeps the ratio finite where repeated readings leave no doubt at all. [rad/s]
 TINY = 1e-12
 
@@ -53,7 +54,7 @@ def aligned_windows(table: ChannelTable, evidence: Sequence[Evidence]) -> Window
             if trace is None:
                 continue
             span = trace.placed(best_step(trace.residual, trace.weight()))
-            if span.stop - span.start >= FEWEST_READINGS:
+            if table.time_s[span.stop - 1] - table.time_s[span.start] >= SHORTEST_S:
                 found.add((span.start, span.stop))
             left.extend(
                 hint
@@ -87,8 +88,9 @@ def _accused(table: ChannelTable, evidence: Sequence[Evidence]) -> NDArray[np.bo
 def _hints(evidence: Evidence) -> Iterator[Accusation]:
     """List the windows in which the channel that is off the most may well be beyond tolerance."""
     windows = evidence.windows
-    long_enough = windows.stop - windows.start >= FEWEST_READINGS
-    rows = np.flatnonzero(long_enough & ~evidence.accused.any(axis=1))
+    if windows.length_s < SHORTEST_S:
+        return
+    rows = np.flatnonzero(~evidence.accused.any(axis=1))
     low, high = evidence.low[rows], evidence.high[rows]
     bounded = evidence.tested[rows] & np.isfinite(low) & np.isfinite(high)
     low, high = np.where(bounded, low, -1.0), np.where(bounded, high, 1.0)

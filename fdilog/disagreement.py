@@ -38,6 +38,9 @@ SIGMAS = 3.0
 USUAL_SHARE = 1.0 / 8.0
 """On recorded healthy flights aliased vibration, which is not white, carries up to an eighth of the
 half seconds of some twenty seconds beyond the tolerance."""
+LEAST_SHARE = 1.0 / 5.0
+"""Over a whole flight in harder vibration that may be more: simulated healthy ones show up to 18 %.
+Of a disagreement a fifth is asked."""
 FEWEST_BEYOND = 10
 LEAST_EXCESS = 5.0
 """Ten half seconds beyond tolerance, five more than that share of the span would have."""
@@ -276,9 +279,9 @@ def _spans(beyond: Bools) -> list[tuple[int, int]]:
         gained = total - np.minimum.accumulate(total)
         stop = int(gained.argmax())
         start = int(total[: stop + 1].argmin())
-        if gained[stop] < LEAST_EXCESS or beyond[first + start : first + stop].sum() < (
-            FEWEST_BEYOND
-        ):
+        count = int(beyond[first + start : first + stop].sum())
+        share = count / max(stop - start, 1)
+        if gained[stop] < LEAST_EXCESS or count < FEWEST_BEYOND or share < LEAST_SHARE:
             continue
         found.append((first + start, first + stop))
         todo += [(first, first + start), (first + stop, last)]
