@@ -58,11 +58,6 @@ class Chunk:
     failure: str = ""
     index_damage: int = -1
 
-    @property
-    def is_large(self) -> bool:
-        """Whether its records must be taken in windows."""
-        return self.records is None and not self.failure
-
 
 def load(file: int, place: ChunkPlace, topics: tuple[tuple[int, ...], ...]) -> Chunk:
     """Read one chunk, check it, and copy the messages of the topics by the chunk's own index.

@@ -29,7 +29,6 @@ FIELDS = {
 }
 
 U32 = struct.Struct("<I")
-U64 = struct.Struct("<Q")
 TIME = struct.Struct("<II")
 
 # Connection headers hold a message definition; the largest in use are below 1 MB.
