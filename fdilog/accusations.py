@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +108,49 @@ def clusters(
                 apart.append(other)
         found = [*apart, merged]
     return found
+
+
+class Span(Protocol):
+    """From one sample to one past the last."""
+
+    @property
+    def start(self) -> int:
+        """First sample."""
+        ...
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample."""
+        ...
+
+
+Spanned = TypeVar("Spanned", bound=Span)
+
+
+def spanned(
+    time_s: NDArray[np.float64],
+    accused: Sequence[Accusation],
+    span_of: Callable[[Cluster], Spanned | None],
+) -> Iterator[Spanned]:
+    """Find the span of every cluster; what lies apart from it is a cluster of its own.
+
+    Parameters
+    ----------
+    span_of
+        Finds the span that a cluster speaks of, or nothing, which ends the matter.
+    """
+    while accused:
+        left: list[Accusation] = []
+        for cluster in clusters(time_s, accused):
+            if (span := span_of(cluster)) is None:
+                continue
+            yield span
+            left.extend(
+                member
+                for member in cluster.members
+                if member.stop <= span.start or member.start >= span.stop
+            )
+        accused = left if len(left) < len(accused) else []
 
 
 def region(table: ChannelTable, start: int, stop: int, reach_s: float) -> tuple[int, int]:

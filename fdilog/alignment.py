@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.accusations import Accusation, clusters, region
+from fdilog.accusations import Accusation, Cluster, region, spanned
 from fdilog.config import Config
-from fdilog.edges import best_step
+from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Windows
 from fdilog.table import ChannelTable
 from fdilog.traces import trace_of
@@ -45,27 +45,22 @@ def aligned_windows(table: ChannelTable, evidence: Sequence[Evidence]) -> Window
         for hint in _hints(item)
         if not known[hint.start : hint.stop, min(hint.suspects)].all()
     ]
-    found: set[tuple[int, int]] = set()
-    while hints:
-        left: list[Accusation] = []
-        for cluster in clusters(table.time_s, hints):
-            first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
-            trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
-            if trace is None:
-                continue
-            span = trace.placed(best_step(trace.residual, trace.weight()))
-            if table.time_s[span.stop - 1] - table.time_s[span.start] >= SHORTEST_S:
-                found.add((span.start, span.stop))
-            left.extend(
-                hint
-                for hint in cluster.members
-                if hint.stop <= span.start or hint.start >= span.stop
-            )
-        hints = left if len(left) < len(hints) else []
+    found = {
+        (span.start, span.stop)
+        for span in spanned(table.time_s, hints, lambda cluster: _step(table, cluster))
+        if table.time_s[span.stop - 1] - table.time_s[span.start] >= SHORTEST_S
+    }
     if not found:
         return None
     start, stop = np.array(sorted(found)).T
     return spans(table, start, stop)
+
+
+def _step(table: ChannelTable, cluster: Cluster) -> Shape | None:
+    """Find the step that explains most of the readings around some hints."""
+    first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
+    trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
+    return None if trace is None else trace.placed(best_step(trace.residual, trace.weight()))
 
 
 def for_aligned(config: Config) -> Config:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.accusations import Accusation, Cluster, accusations, clusters, region
+from fdilog.accusations import Accusation, Cluster, accusations, region, spanned
 from fdilog.config import Config
 from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Finding, Size
@@ -44,20 +44,10 @@ def bias_findings(
     by_detector: dict[str, list[Accusation]] = {}
     for item in evidence:
         by_detector.setdefault(item.detector, []).extend(accusations(item))
-    open_accusations = next(iter(by_detector.values()), [])
-    faults: list[Fault] = []
-    while open_accusations:
-        left: list[Accusation] = []
-        for cluster in clusters(table.time_s, open_accusations):
-            spanned = _fault(calibrated, cluster, config)
-            faults.append(spanned)
-            # What lies apart from the span of the fault is another fault.
-            left.extend(
-                member
-                for member in cluster.members
-                if member.stop <= spanned.start or member.start >= spanned.stop
-            )
-        open_accusations = left if len(left) < len(open_accusations) else []
+    leading = next(iter(by_detector.values()), [])
+    faults = list(
+        spanned(table.time_s, leading, lambda cluster: _fault(calibrated, cluster, config))
+    )
     findings = []
     for joined in _joined_faults(calibrated, faults, config):
         fault = _heard(calibrated, joined, config, hearing)

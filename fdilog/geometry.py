@@ -18,6 +18,7 @@ References
 from __future__ import annotations
 
 import difflib
+from functools import lru_cache
 from statistics import NormalDist
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,9 @@ TRIAD_AZIMUTH_RAD = float(np.deg2rad(15.0))
 RANK_TOLERANCE = 1e-9
 """Directions weaker than this, relative to the strongest, count as absent: far above rounding
 (1e-16), far below any angle to which an axis can be surveyed (1e-5 rad)."""
+
+REMEMBERED = 1024
+"""Parity matrices kept: a flight asks for the same few thousands of times."""
 
 COLLINEAR_TOLERANCE = 1e-6
 """Sine below which two parity columns are one line in floating point; rounding alone gives 1e-8."""
@@ -244,7 +248,13 @@ def parity_matrix(axes: ArrayLike) -> Floats:
     ----------
     [Larin15] projector U2' of H = [U1 U2] [S; 0] W'.
     """
-    left, singular_values, _ = np.linalg.svd(checked_axes(axes))
+    array = checked_axes(axes)
+    return _parity_matrix(array.tobytes(), len(array)).copy()
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _parity_matrix(axes: bytes, channels: int) -> Floats:
+    left, singular_values, _ = np.linalg.svd(np.frombuffer(axes).reshape(channels, 3))
     return np.ascontiguousarray(left[:, _rank(singular_values) :].T)
 
 

@@ -164,12 +164,8 @@ class _Segments:
 
 
 def _segments(moments: Moments, survey: Survey) -> _Segments | None:
-    table, windows = survey.table, survey.windows
-    columns = list(moments.channels)
-    together = np.asarray(table.valid[:, columns].all(axis=1), bool)
-    before = np.concatenate([[0], np.cumsum(together)])
-    start = before[windows.start[moments.windows]]
-    size = int((before[windows.stop[moments.windows]] - start)[0]) if len(start) else 0
+    table, columns = survey.table, list(moments.channels)
+    together, start, size = survey.together(moments)
     segments = min(size // SEGMENT_SAMPLES, int(size * table.period_s / MANOEUVRE_S))
     if segments < FEWEST_SEGMENTS:
         return None

@@ -39,6 +39,9 @@ SURER = 2.0
 
 TUKEY = 4.685
 ROUNDS = 20
+SETTLED = 1e-4
+"""Relative change of a slope below which the fit is done; it is told to three digits."""
+
 BELIEVED_C = (-60.0, 125.0)
 """What silicon is specified for; other values are placeholders. [degC]"""
 
@@ -174,10 +177,10 @@ def _slopes(
 def _jackknifed(design: Floats, target: Floats, confidence: float) -> tuple[float, float]:
     """Return the last coefficient of a robust fit, and the half-width of its interval."""
     rows = np.arange(len(target))
-    whole = _robust(design, target)
+    whole, weight = _robust(design, target, np.ones(len(target)))
     left_out = np.array(
         [
-            _robust(np.delete(design, piece, axis=0), np.delete(target, piece))
+            _robust(*(np.delete(part, piece, axis=0) for part in (design, target, weight)))[0]
             for piece in np.array_split(rows, PIECES)
         ]
     )
@@ -186,18 +189,16 @@ def _jackknifed(design: Floats, target: Floats, confidence: float) -> tuple[floa
     return whole, quantile * float(np.sqrt(variance))
 
 
-def _robust(design: Floats, target: Floats) -> float:
-    """Fit by Tukey's biweight from least squares on, and return the last coefficient."""
-    weight: Floats = np.ones(len(target))
-    solved: Floats = np.zeros(design.shape[1])
+def _robust(design: Floats, target: Floats, weight: Floats) -> tuple[float, Floats]:
+    """Fit by Tukey's biweight from some weights on: the last coefficient, and the weights."""
+    slope = np.inf
     for _ in range(ROUNDS):
-        root = np.sqrt(weight)
-        before = solved
-        fitted = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
-        solved = np.asarray(fitted, np.float64)
-        if np.allclose(before, solved, rtol=1e-6, atol=1e-12):
+        root, before = np.sqrt(weight), slope
+        solved = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
+        slope = float(solved[-1])
+        if abs(slope - before) <= SETTLED * abs(slope):
             break
         residual = target - design @ solved
         sigma = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
         weight = np.square(np.maximum(1.0 - (residual / (TUKEY * sigma)) ** 2, 0.0))
-    return float(solved[-1])
+    return slope, weight

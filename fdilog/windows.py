@@ -146,6 +146,24 @@ class Survey:
             found.extend(self._block_moments(block))
         return tuple(found)
 
+    def together(self, moments: Moments) -> tuple[NDArray[np.bool_], NDArray[np.int64], int]:
+        """Find the samples that hold a reading of every channel of a block.
+
+        Returns
+        -------
+        together : (n_samples,)
+            Which samples of the table.
+        start : (n,)
+            Where each of the moments' windows begins among these.
+        size
+            How many of them a window holds; 0 if there is no window.
+        """
+        together = np.asarray(self.table.valid[:, list(moments.channels)].all(axis=1), bool)
+        before = np.concatenate([[0], np.cumsum(together)])
+        start = before[self.windows.start[moments.windows]]
+        stop = before[self.windows.stop[moments.windows]]
+        return together, start, int(stop[0] - start[0]) if len(start) else 0
+
     def _block_moments(self, block: tuple[int, ...]) -> Iterator[Moments]:
         from fdilog.geometry import blocks
 

@@ -8,6 +8,7 @@ others are taken out (`fdilog.prediction`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import ClassVar
@@ -37,6 +38,8 @@ CAPPED_VARIANCE = 0.52
 NORMAL_MEDIAN = 1.4826
 # Readings gathered at a time, to bound the memory.
 BLOCK_READINGS = 1_000_000
+# What is usual is kept for so many channels, to be asked again for windows of other lengths.
+MOST_CHANNELS = 32
 # What is usual is what the quietest quarter of a flight stays below: a fault may last for most of
 # it. The pieces compared are those in which all gyros shake as much, within a factor of
 # two: propellers and the ground make more of a difference than faults do.
@@ -77,8 +80,7 @@ class NoiseDetector:
             peers = noise_peers(table, channel)
             if not len(peers):
                 continue
-            recorded = np.asarray(table.valid[:, [channel, *peers]].all(axis=1), bool)
-            rows = np.flatnonzero(recorded)
+            rows = _recorded(table, [channel, *peers])
             spread = partial(_window_sigmas, survey=survey, rows=rows)
             mine = spread(deviation[rows, channel])
             others = np.column_stack([spread(deviation[rows, k]) for k in peers])
@@ -87,7 +89,7 @@ class NoiseDetector:
             counts = _window_counts(survey, rows)
             logged = _ratio(survey, counts, mine, theirs)
             found = logged.beyond & (mine > least)
-            usual = _Usual.of(deviation[rows][:, [channel, *peers]], own[rows, channel])
+            usual = _usual(table, channel)
             common, loudest = usual.common(np.column_stack([mine, others]))
             grown = _ratio(survey, counts, alone, usual.of_those(usual.own, common))
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -110,6 +112,11 @@ class NoiseDetector:
                 confidence=config.windows.confidence,
             )
         ]
+
+
+def _recorded(table: ChannelTable, columns: Sequence[int]) -> NDArray[np.int64]:
+    """Return the samples that hold a reading of some channels, all of them."""
+    return np.flatnonzero(table.valid[:, columns].all(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -288,3 +295,12 @@ def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:
     skewed = len(np.unique(np.round(np.abs(axes), 3), axis=0)) == len(axes) > 3
     others = np.arange(len(axes))
     return others[others != channel] if skewed else others[:0]
+
+
+@lru_cache(maxsize=MOST_CHANNELS)
+def _usual(table: ChannelTable, channel: int) -> _Usual:
+    """Tell what is usual of a channel, which is the same for windows of every length."""
+    columns = [channel, *noise_peers(table, channel)]
+    rows = _recorded(table, columns)
+    deviation, own = shown_noise(table)
+    return _Usual.of(deviation[rows][:, columns], own[rows, channel])

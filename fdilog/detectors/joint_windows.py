@@ -216,10 +216,7 @@ def _block(moments: Moments, survey: Survey) -> tuple[_Block | None, NDArray[np.
     """Cut out the readings of a block, with the windows in which their noise is known."""
     table, windows = survey.table, survey.windows
     columns = list(moments.channels)
-    together = np.asarray(table.valid[:, columns].all(axis=1), bool)
-    before = np.concatenate([[0], np.cumsum(together)])
-    start = before[windows.start[moments.windows]]
-    size = int((before[windows.stop[moments.windows]] - start)[0]) if len(start) else 0
+    together, start, size = survey.together(moments)
     if size < FEWEST_SAMPLES:
         return None, np.zeros(0, np.intp)
     readings = (table.rate_rad_s if together.all() else table.rate_rad_s[together])[:, columns]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ Naming = Callable[[Floats, Floats], NDArray[np.bool_]]
 that it names, (n_windows, n_channels) bool; at least two parity components are left to it."""
 
 Hypothesis = tuple[int, ...]
+
+BLOCKS = 32
+"""Blocks of channels whose comparison is kept for the next method."""
 
 
 def named_channel(statistic: Floats, *, largest: bool) -> NDArray[np.intp]:
@@ -117,15 +120,9 @@ def elect(moments: Moments, survey: Survey, naming: Naming, *, needs: int = 1) -
     """
     axes = survey.table.axes[list(moments.channels)]
     config = survey.config
-    against = partial(
-        compare,
-        axes=axes,
-        variance=np.ones(len(axes)),
-        config=config,
-        family_confidence=family_wise_confidence(config, survey.windows.length_s, len(axes)),
-    )
+    against = _comparing(moments, survey)
     healthy = np.radians(config.noise.bias_sigma_deg_s)
-    nobody = against(moments, removed=())
+    nobody = _nobody_removed(moments, survey)
     answer = Answer.of(nobody)
     redundancy = len(moments.parity)
     if redundancy < needs:
@@ -168,11 +165,31 @@ def elect(moments: Moments, survey: Survey, naming: Naming, *, needs: int = 1) -
     return answer
 
 
+def _comparing(moments: Moments, survey: Survey) -> Callable[..., Comparison]:
+    """Compare the channels of a block, weighted alike."""
+    axes = survey.table.axes[list(moments.channels)]
+    return partial(
+        compare,
+        axes=axes,
+        variance=np.ones(len(axes)),
+        config=survey.config,
+        family_confidence=family_wise_confidence(survey.config, survey.windows.length_s, len(axes)),
+    )
+
+
+@lru_cache(maxsize=BLOCKS)
+def _nobody_removed(moments: Moments, survey: Survey) -> Comparison:
+    """Compare everyone with everyone, which is where every method begins."""
+    return _comparing(moments, survey)(moments, removed=())
+
+
 def _named(mean: Floats, axes: Floats, removed: Hypothesis, naming: Naming) -> NDArray[np.bool_]:
     """Ask the method about the channels that are left and still checked by others."""
+    named = np.zeros(mean.shape, bool)
+    if not len(mean):
+        return named
     left = np.setdiff1d(np.arange(len(axes)), removed)
     left = left[detectable(axes[left])]
-    named = np.zeros(mean.shape, bool)
     if len(parity_matrix(axes[left])) == 1:
         named[:, left[0]] = True  # stands for all of them: `exchangeable` names the others too
     else:
