@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from fdilog.biases import Hearing
     from fdilog.registry import Detector
+    from fdilog.revealed import Revealed
     from fdilog.witness import Witness
 
 SCHEMA = "fdilog/1"
@@ -103,6 +105,13 @@ class Analysis:
     config: Config = field(default_factory=Config)
     part: Part = field(default_factory=Part)
     autopilot: tuple[AutopilotNote, ...] = ()
+
+    @cached_property
+    def revealed(self) -> tuple[Revealed, ...]:
+        """What a constant error would have had to be to show, for each group of channels."""
+        from fdilog.revealed import revealed
+
+        return revealed(self.table, self.evidence)
 
     def to_json(self) -> str:
         """Return the JSON result, the same bytes for the same log and configuration."""

@@ -13,7 +13,6 @@ import fdilog
 from fdilog.analysis import SCHEMA, Analysis
 from fdilog.finding import Finding, Interval, Size
 from fdilog.recording import Problem
-from fdilog.revealed import revealed
 
 suffix = ".json"
 
@@ -121,7 +120,7 @@ def result(analysis: Analysis) -> dict[str, Any]:
                     for one in group.windows
                 ],
             }
-            for group in revealed(analysis.table, analysis.evidence)
+            for group in analysis.revealed
         ],
         "verdict": analysis.verdict,
         "findings": [finding_result(finding) for finding in analysis.findings],

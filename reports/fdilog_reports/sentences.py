@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Finding, Size
-from fdilog.revealed import revealed
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
@@ -328,7 +327,7 @@ def blind_spots(analysis: Analysis) -> list[str]:
 
 def limits(analysis: Analysis) -> list[str]:
     """Say how large and how long a constant error must be to show at this log's rate."""
-    groups = revealed(analysis.table, analysis.evidence)
+    groups = analysis.revealed
     bounded = [group for group in groups if group.shortest_s is not None]
     if not bounded:
         if not groups:
@@ -357,7 +356,7 @@ def limits(analysis: Analysis) -> list[str]:
 
 def is_slow(analysis: Analysis) -> bool:
     """Whether the log is too slow for the shortest windows that were asked for."""
-    shortest = [group.shortest_s for group in revealed(analysis.table, analysis.evidence)]
+    shortest = [group.shortest_s for group in analysis.revealed]
     return any(one is None or one > min(analysis.config.windows.lengths_s) for one in shortest)
 
 
