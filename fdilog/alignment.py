@@ -14,15 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.accusations import Accusation, Cluster, region, spanned
-from fdilog.config import Config
 from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Windows
 from fdilog.table import ChannelTable
 from fdilog.traces import trace_of
 from fdilog.windows import spans
 
-# A window with both edges placed to a tenth of its length was chosen from a hundred.
-PLACEMENTS = 100.0
 # Vibration near the logging rate comes back as a wander of a second or two, whose swells look like
 # steps to whoever may choose where to look; over five seconds it averages out.
 SHORTEST_S = 5.0
@@ -61,12 +58,6 @@ def _step(table: ChannelTable, cluster: Cluster) -> Shape | None:
     first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
     trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
     return None if trace is None else trace.placed(best_step(trace.residual, trace.weight()))
-
-
-def for_aligned(config: Config) -> Config:
-    """Return the settings for windows of which each was chosen from `PLACEMENTS`."""
-    doubt = (1.0 - config.windows.confidence) / PLACEMENTS
-    return config.replace("windows", confidence=1.0 - doubt)
 
 
 def _accused(table: ChannelTable, evidence: Sequence[Evidence]) -> NDArray[np.bool_]:

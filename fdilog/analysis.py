@@ -387,7 +387,7 @@ def _windowed(
     progress: Callable[[str], None],
 ) -> list[Evidence]:
     """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
-    from fdilog.alignment import aligned_windows, for_aligned
+    from fdilog.alignment import aligned_windows
     from fdilog.slopes import scale_evidence
     from fdilog.windows import Survey, cut
 
@@ -402,7 +402,7 @@ def _windowed(
     biased = [item for item in found if item.kind == "bias"]
     leading = [item for item in biased if item.detector == biased[0].detector]
     if (aligned := aligned_windows(table, leading)) is not None:
-        survey = Survey(table=table, windows=aligned, config=for_aligned(config))
+        survey = Survey(table=table, windows=aligned, config=config)
         for name, detector in asked:
             progress(f"{name}, windows laid to fit")
             found.extend(item for item in detector.detect(survey) if item.kind == "bias")

@@ -19,6 +19,7 @@ from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of
 from fdilog.table import ChannelTable
 from fdilog.testimony import Statement
 from fdilog.traces import trace_of
+from fdilog.usual import usual
 from fdilog.windows import FEWEST_PRESENT, Moments, Survey, spans
 from fdilog.witness import SOURCE
 
@@ -54,6 +55,8 @@ def bias_findings(
         if fault is None:
             continue
         finding = finding_of(table, fault, config)
+        if _within(finding, config):
+            continue
         agree, dissent = _sides(table, evidence, by_detector, fault)
         findings.append(replace(finding, detectors=agree, dissent=dissent))
     return findings
@@ -61,13 +64,34 @@ def bias_findings(
 
 def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     """Find the span of a fault, who is accused over just that span, and of what shape it is."""
-    first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
-    trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
     step = Shape(kind="bias", start=cluster.start, stop=cluster.stop, gain=0.0, size=0.0)
-    if trace is not None:
-        step = trace.placed(best_step(trace.residual, trace.weight()))
+    step = _placed_step(table, cluster, config) or step
     fault = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
     return shaped(table, _tested(table, fault, config), config)
+
+
+def _placed_step(table: ChannelTable, cluster: Cluster, config: Config) -> Shape | None:
+    """Find the step around some accusations.
+
+    Manoeuvres and vibration may leave in doubt what it is a part of: the region in which it is
+    looked for is widened as long as it reaches to its edges, up to the longest windows.
+    """
+    found = None
+    reach_s = cluster.longest_s / 2
+    while True:
+        first, last = region(table, cluster.start, cluster.stop, reach_s)
+        trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
+        if trace is None:
+            return found
+        step = best_step(trace.residual, trace.weight())
+        placed = trace.placed(step)
+        if found is not None and (placed.start > found.start or placed.stop < found.stop):
+            return found  # a larger fault nearby is another one
+        found = placed
+        inside = step.start > 0 and step.stop < len(trace.rows)
+        if inside or reach_s > max(config.windows.lengths_s):
+            return found
+        reach_s = 2.0 * max(reach_s, table.period_s)
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
@@ -76,7 +100,9 @@ def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
     if moments is None:
         return fault
     channels = np.array(moments.channels)
-    answer = isolate(moments, table.axes[channels], config, fault.longest_s)
+    answer = isolate(
+        moments, table.axes[channels], config, fault.longest_s, usual(table).offset[channels]
+    )
     accused = answer.accused[0]
     groups = [
         frozenset(channels[accused == group].tolist()) for group in np.unique(accused[accused > 0])
@@ -197,6 +223,18 @@ def finding_of(table: ChannelTable, fault: Fault, config: Config) -> Finding:
         witness=SOURCE if said is not None and said.named is not None else None,
         detail=disagreement(names) if said is None else _testified(names, said),
     )
+
+
+def _within(finding: Finding, config: Config) -> bool:
+    """Whether what is measured of a bias in the readings as logged is within tolerance after all.
+
+    It was beyond it in the readings less what is in proportion to the rate, and so by what was
+    fitted of that. The size of a suspect among several is that of the pair's difference in part.
+    """
+    size = finding.size
+    if finding.kind != "bias" or size is None or not finding.isolated:
+        return False
+    return bool(abs(size.estimate) <= np.radians(config.tolerance.bias_deg_s))
 
 
 def _testified(names: tuple[str, ...], said: Statement) -> str:

@@ -22,7 +22,9 @@ from fdilog.config import Config
 from fdilog.edges import Shape
 from fdilog.finding import Finding
 from fdilog.geometry import blocks, leave_one_out
+from fdilog.noise import NORMAL_CONSISTENCY
 from fdilog.shapes import Fault, shaped
+from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
 
 Floats = NDArray[np.float64]
@@ -35,6 +37,11 @@ FEWEST_SAMPLES = 6
 """Of which the spread within a cell, and so the doubt of its mean, can be told."""
 SIGMAS = 3.0
 """A mean this many standard errors beyond the tolerance is beyond it, if noise is white."""
+MOST_RESTLESS = 1.5
+"""Aliased vibration lets the means of half seconds differ by more than their readings would if they
+were white. So does a disagreement that lasts for most of a flight: no more is made of it."""
+CONFIDENCE = 0.9973
+"""That of three sigma, which a spread known from a few readings makes more."""
 USUAL_SHARE = 1.0 / 8.0
 """On recorded healthy flights aliased vibration, which is not white, carries up to an eighth of the
 half seconds of some twenty seconds beyond the tolerance."""
@@ -134,6 +141,8 @@ class _Cells:
         Mean readings [rad/s], and their rates of change. [rad/s^2]
     scatter : (n, k, k)
         Covariance of the means, as white noise has it. [rad^2/s^2]
+    dof : (n,)
+        Its degrees of freedom.
     """
 
     start_s: Floats
@@ -141,14 +150,35 @@ class _Cells:
     mean: Floats
     slope: Floats
     scatter: Floats
+    dof: Floats
 
-    def beyond(self, axes: Floats, removed: Sequence[int], config: Config) -> Bools | None:
+    def sure(self, axes: Floats) -> Floats:
+        """Tell how many standard errors are sure in each cell, (n,).
+
+        They are more by as much as the errors of this flight are usually larger than white noise
+        would make them, within bounds.
+        """
+        rows = np.nan_to_num(leave_one_out(axes))
+        sigma = np.sqrt(np.maximum(np.einsum("ci,nij,cj->nc", rows, self.scatter, rows), 0.0))
+        error = self.mean @ rows.T
+        if not len(error):
+            return np.zeros(0)
+        noisy = sigma > 0.0
+        apart = np.abs(error - np.median(error, axis=0))[noisy] / sigma[noisy]
+        restless = NORMAL_CONSISTENCY * float(np.median(apart)) if len(apart) else 1.0
+        return student_quantile(self.dof, CONFIDENCE) * min(max(restless, 1.0), MOST_RESTLESS)
+
+    def beyond(
+        self, axes: Floats, removed: Sequence[int], config: Config, sigmas: Floats | float = SIGMAS
+    ) -> Bools | None:
         """Tell in which cells each channel's error is surely beyond tolerance, (n, k).
 
         Parameters
         ----------
         removed
             Channels that nobody is compared with; nothing if then nothing is compared.
+        sigmas : () or (n,)
+            By how many standard errors.
         """
         rows = leave_one_out(axes, list(removed))
         tested = np.asarray(np.isfinite(rows).all(axis=1), bool)
@@ -163,7 +193,8 @@ class _Cells:
             + (config.tolerance.scale * (self.mean - error)) ** 2
             + (3.0 * config.noise.time_sigma_s * self.slope) ** 2
         )
-        return np.asarray(tested & (np.abs(error) - SIGMAS * sigma > tolerance), bool)
+        half_width = np.broadcast_to(sigmas, len(sigma))[:, None] * sigma
+        return np.asarray(tested & (np.abs(error) - half_width > tolerance), bool)
 
 
 def _disagreements(
@@ -179,10 +210,13 @@ def _disagreements(
             continue
         axes = table.axes[columns]
         beyond = cells.beyond(axes, (), config)
-        if beyond is None:
+        surely = cells.beyond(axes, (), config, cells.sure(axes))
+        if beyond is None or surely is None:
             continue
         for first, last in _spans(np.asarray(beyond.any(axis=1), bool)):
             within = slice(first, last)
+            if float(surely[within].any(axis=1).mean()) < LEAST_SHARE:
+                continue
             suspects = _suspects(cells, axes, within, config)
             names = tuple(table.names[columns[k]] for k in suspects)
             count = int(beyond[within].any(axis=1).sum())
@@ -263,6 +297,7 @@ def _cells(table: ChannelTable, columns: list[int], doubtful: Bools) -> _Cells |
         mean=mean[full],
         slope=((readings[last] - readings[start]) / elapsed)[full],
         scatter=scatter[full],
+        dof=count[full] - 1.0,
     )
 
 
@@ -296,6 +331,7 @@ def _suspects(cells: _Cells, axes: Floats, within: slice, config: Config) -> lis
         mean=cells.mean[within],
         slope=cells.slope[within],
         scatter=cells.scatter[within],
+        dof=cells.dof[within],
     )
     named = []
     for channel in range(len(axes)):

@@ -29,6 +29,9 @@ LEAST_VARIANCE_SHARE = 0.1
 # A hypothesis that stands is still let go if another explains the same readings this many times
 # better: one wrong accusation in a hundred cases that the intervals alone would leave open.
 LEAST_ODDS = 100.0
+# Of what healthy offsets are, this part wanders in a flight: 0.17 deg/s by default. In recorded
+# flights of up to eighteen minutes it is 0.1 deg/s at most, warming up included.
+WANDER = 0.5
 SECONDS_PER_HOUR = 3600.0
 
 
@@ -214,7 +217,7 @@ def compare(
     # together is no surer than the middlemost.
     usual = np.einsum("iq,qr,ir->i", of_parity, moments.typical, of_parity)
     half_width = _half_width(looks, own, config.windows.confidence)
-    doubt = _half_width(looks, np.maximum(own, usual), family_confidence)
+    doubt = moments.restless * _half_width(looks, np.maximum(own, usual), family_confidence)
     predicted = moments.mean - error
     tolerance = np.sqrt(
         np.radians(config.tolerance.bias_deg_s) ** 2
@@ -234,7 +237,9 @@ def _half_width(looks: WindowedMean, variance: Floats, confidence: float) -> Flo
     return np.where(known, np.where(known, quantile, 0.0) * sigma, np.inf)
 
 
-def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> Answer:
+def isolate(
+    moments: Moments, axes: Floats, config: Config, length_s: float, offset: Floats
+) -> Answer:
     """Find the smallest sets of failed channels that leave the others in agreement.
 
     Parameters
@@ -243,6 +248,8 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
         Sensitivity axes H of ``moments.channels``. [1]
     length_s
         Nominal length of the windows. [s]
+    offset : (k,)
+        What the channels are usually off by; see `fdilog.usual`. [rad/s]
     """
     k = len(moments.channels)
     family_confidence = family_wise_confidence(config, length_s, k)
@@ -283,7 +290,9 @@ def isolate(moments: Moments, axes: Floats, config: Config, length_s: float) -> 
                 for others, kept in zip(compared, left, strict=True)
             ]
         )
-        stands &= _likely(part, hypotheses, stands, nobody.tolerance[open_windows].mean(axis=1))
+        stands &= _likely(
+            part, hypotheses, stands, nobody.tolerance[open_windows].mean(axis=1), offset
+        )
         low = np.full((len(open_windows), k), np.inf)
         high = np.full((len(open_windows), k), -np.inf)
         for number, others in enumerate(compared):
@@ -311,31 +320,53 @@ def _likely(
     hypotheses: Sequence[tuple[int, ...]],
     stands: NDArray[np.bool_],
     tolerance: Floats,
+    offset: Floats,
 ) -> NDArray[np.bool_]:
     """Tell which hypotheses are not `LEAST_ODDS` times less likely than the likeliest that stands.
 
     The parity vector of healthy channels is normal with the covariance of its mean and, since
     healthy errors are a third of the tolerance (three sigma, [Triads]), their variance in every
-    direction: V V' = I. A failed channel adds any multiple of its column of V, which is fitted.
-    What is left is a quadratic form; with an estimated covariance its likelihood is Student's.
+    direction: V V' = I. That is mostly a constant of the flight; what wanders is `WANDER` of it. A
+    failed channel adds any multiple of its column of V, which is fitted: to the wander, if it
+    failed for a while, or to the constant, if it was always so. What is left are quadratic forms;
+    with an estimated covariance their likelihood is Student's.
     """
     looks = moments.parity_mean
-    n, q = looks.mean.shape
+    q = looks.mean.shape[1]
     covariance = np.where((looks.dof > 0)[:, None, None], looks.covariance, 0.0)
-    weight = np.linalg.inv(covariance + (tolerance[:, None, None] / 3.0) ** 2 * np.eye(q))
-    misfit = np.zeros((n, len(hypotheses)))
-    total = np.einsum("wi,wij,wj->w", looks.mean, weight, looks.mean)
-    for number, removed in enumerate(hypotheses):
-        columns = moments.parity[:, list(removed)]
-        onto = np.einsum("if,wij,wj->wf", columns, weight, looks.mean)
-        normal = np.einsum("if,wij,jg->wfg", columns, weight, columns)
-        fitted = np.einsum("wf,wfg,wg->w", onto, np.linalg.pinv(normal), onto)
-        misfit[:, number] = np.maximum(total - fitted, 0.0)
-    dof = np.maximum(looks.dof, 1.0)[:, None]
-    cost = (dof + q) * np.log1p(misfit / dof)
+    healthy = (tolerance[:, None, None] / 3.0) ** 2 * np.eye(q)
+    usual = np.broadcast_to(moments.parity @ offset, looks.mean.shape)
+    constant = np.asarray(np.linalg.inv(healthy), np.float64)
+    wander = np.asarray(np.linalg.inv(covariance + WANDER**2 * healthy), np.float64)
+    change = looks.mean - usual
+    dof = np.maximum(looks.dof, 1.0)
+
+    def student(form: Floats) -> Floats:
+        return np.asarray((dof + q) * np.log1p(form / dof), np.float64)
+
+    never = student(_misfit(change, wander, moments.parity[:, []]))
+    usually = _misfit(usual, constant, moments.parity[:, []])
+    cost = np.column_stack(
+        [
+            np.minimum(
+                usually + student(_misfit(change, wander, columns)),
+                _misfit(usual, constant, columns) + never,
+            )
+            for columns in (moments.parity[:, list(removed)] for removed in hypotheses)
+        ]
+    )
     least = np.where(stands, cost, np.inf).min(axis=1, keepdims=True)
     likely: NDArray[np.bool_] = cost <= least + 2.0 * np.log(LEAST_ODDS)
     return likely
+
+
+def _misfit(vector: Floats, weight: Floats, columns: Floats) -> Floats:
+    """Fit multiples of some columns, and return what is left of the weighted squares, (n,)."""
+    total = np.einsum("wi,wij,wj->w", vector, weight, vector)
+    onto = np.einsum("if,wij,wj->wf", columns, weight, vector)
+    normal = np.einsum("if,wij,jg->wfg", columns, weight, columns)
+    fitted = np.einsum("wf,wfg,wg->w", onto, np.linalg.pinv(normal), onto)
+    return np.asarray(np.maximum(total - fitted, 0.0), np.float64)
 
 
 def numbered_suspects(

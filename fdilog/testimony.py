@@ -9,7 +9,8 @@ second lock, the attitude itself must be further from the gyro that is named tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,19 @@ Floats = NDArray[np.float64]
 ANCHOR_CONFIDENCE = 0.99
 """The anchors choose between the suspects of a fault that is found already, of which a flight has a
 few, not thousands; and they are not the only lock."""
+ANCHOR_SIGMAS = 2.576
+"""Of the normal distribution, at that confidence."""
+
+LONG_S = 20.0
+"""A filter that is corrected with a time constant of a minute and a half or less has come off the
+gyro that it followed by a sixth of the step within the last third of so long a time."""
+UNTOUCHED = 1.0 / 6.0
+STEADY = 1.0 / 4.0
+"""How much of a step the thirds of a span may differ by, of a sound gyro and of a failed one. Ten
+seconds of manoeuvres make a tenth to a half of a deg/s of it on recorded flights."""
+LEAST_ODDS = 10.0
+"""By how much the anchors must be for it where no other gyro agrees with the attitude, or nothing
+but gravity corrects the filter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +57,8 @@ class Testimony:
         The gyro's error against the anchors. [rad/s]
     tolerance
         What errors are held against. [rad/s]
+    thirds
+        Mean difference from the attitude in each third of the span, less the usual one. [rad/s]
     """
 
     error: float
@@ -51,11 +67,28 @@ class Testimony:
     anchored: float
     anchored_half_width: float
     tolerance: float
+    thirds: tuple[float, float, float]
 
     @property
     def failed(self) -> bool:
         """Whether the anchors say that the gyro is off."""
         return abs(self.anchored) - self.anchored_half_width > self.tolerance
+
+    @property
+    def step(self) -> float:
+        """By how much it came off the attitude, if by the same all the time; else 0. [rad/s]"""
+        mean = sum(self.thirds) / 3.0
+        steady = all(abs(third - mean) <= STEADY * abs(mean) for third in self.thirds)
+        return mean if steady and abs(mean) > self.tolerance else 0.0
+
+    def untouched(self, step: float) -> bool:
+        """Whether nothing of a step shows in the differences from the attitude."""
+        return all(abs(third) <= UNTOUCHED * abs(step) for third in self.thirds)
+
+    def borne_out(self, step: float, odds: float) -> bool:
+        """Whether anchors make it so much likelier that it is off by a step than not at all."""
+        sigma = max(self.anchored_half_width, 1e-12) / ANCHOR_SIGMAS
+        return step * (2.0 * self.anchored - step) / (2.0 * sigma**2) >= math.log(odds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,11 +126,28 @@ def hear(
     failed = [channel for channel, said in heard.items() if said.failed]
     furthest = max(heard, key=lambda channel: abs(heard[channel].error))
     words = _words(table, heard)
-    if failed == [furthest]:
+    if failed == [furthest] or _stepped(table, heard, furthest, span):
         return Statement(named=furthest, detail=words)
     if not failed and all(said.drift.lost for said in heard.values()):
         words = f"the attitude is lost, and tells nothing; {words}"
     return Statement(named=None, detail=words)
+
+
+def _stepped(
+    table: ChannelTable, heard: Mapping[int, Testimony], named: int, span: tuple[int, int]
+) -> bool:
+    """Tell whether the course of the differences names a gyro, and the anchors bear it out."""
+    long = float(table.time_s[span[1] - 1] - table.time_s[span[0]]) >= LONG_S
+    step = heard[named].step
+    others = [said for channel, said in heard.items() if channel != named]
+    # Without compass and GPS no filter corrects its heading.
+    corrected = len(heard[named].drift.anchors) > 1
+    return (
+        long
+        and step != 0.0
+        and all(said.untouched(step) for said in others)
+        and heard[named].borne_out(step, 1.0 if others and corrected else LEAST_ODDS)
+    )
 
 
 def testimony(
@@ -108,7 +158,7 @@ def testimony(
     derived = [k for k, one in enumerate(table.channels) if one.derived]
     known = np.asarray(table.valid[:, [channel, *derived]].all(axis=1), bool)
     rows = span[0] + np.flatnonzero(known[span[0] : span[1]])
-    if len(derived) != 3 or not len(rows):
+    if len(derived) != 3 or len(rows) < 3:
         return None
     axis = table.axes[channel]
     along = table.rate_rad_s[:, derived] @ (table.axes[derived] @ axis)
@@ -119,6 +169,10 @@ def testimony(
     if drift is None:
         return None
     looks = windowed_mean(apart[rows][None, :, None])
+    outside = known.copy()
+    outside[span[0] : span[1]] = False
+    usual = float(np.median(apart[outside])) if outside.sum() >= len(rows) / 2 else 0.0
+    first, middle, last = (float(apart[part].mean()) - usual for part in np.array_split(rows, 3))
     bias = np.radians(config.tolerance.bias_deg_s)
     return Testimony(
         error=float(looks.mean[0, 0]),
@@ -127,6 +181,7 @@ def testimony(
         anchored=float(axis @ drift.error_rad_s),
         anchored_half_width=drift.half_width(axis),
         tolerance=float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean()))),
+        thirds=(first, middle, last),
     )
 
 

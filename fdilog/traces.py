@@ -11,6 +11,7 @@ from fdilog.edges import Shape
 from fdilog.geometry import leave_one_out
 from fdilog.noise import robust_sigma, windowed_mean
 from fdilog.table import ChannelTable
+from fdilog.usual import usual
 
 # Manoeuvres take longer than this, vibration is faster. [s]
 MANOEUVRE_S = 0.5
@@ -95,7 +96,9 @@ def trace_of(
     table: ChannelTable, channel: int, removed: frozenset[int], first: int, last: int
 ) -> Trace | None:
     """Trace one channel from the first sample up to the last, or nothing if it cannot be."""
-    row = leave_one_out(table.axes, sorted(removed))[channel]
+    sigma = usual(table).sigma
+    row = leave_one_out(table.axes / sigma[:, None], sorted(removed))[channel]
+    row = row * sigma[channel] / sigma
     if not bool(np.isfinite(row).all()):
         return None
     needed = np.flatnonzero(row != 0)

@@ -22,6 +22,11 @@ Floats = NDArray[np.float64]
 # A channel takes part in a window if it holds at least half of the readings its rate promises;
 # below that the mean over what is left may belong to another time than that of the others.
 FEWEST_PRESENT = 0.5
+# Windows whose spread tells anything, and the degrees of freedom each must have.
+FEWEST_COMPARED, FEWEST_DOF = 30, 5.0
+# Twice the standard error of the spread of half-overlapping windows by their median, times the root
+# of their number.
+SIGMAS_OF_RATIO = 2.8
 
 
 def stretches(table: ChannelTable, config: Config) -> list[tuple[int, int]]:
@@ -99,6 +104,9 @@ class Moments:
     typical : (q, q)
         Covariance of the mean parity vector in the middlemost of all windows of this length.
         [rad^2/s^2]
+    restless
+        By how much more than they are known to the means of all windows of this length differ from
+        one another, at least; one or more. [1]
     """
 
     windows: NDArray[np.int64]
@@ -108,6 +116,7 @@ class Moments:
     parity: Floats
     parity_mean: WindowedMean
     typical: Floats
+    restless: float
 
     def at(self, rows: NDArray[np.int64]) -> Moments:
         """Return the moments of some of these windows."""
@@ -227,7 +236,28 @@ class Survey:
                 parity=parity,
                 parity_mean=looks,
                 typical=_middlemost(looks, parity),
+                restless=_restless(looks, parity),
             )
+
+
+def _restless(looks: WindowedMean, parity: Floats) -> float:
+    """Ratio of the spread of the means of windows to what each window says of it; one or more.
+
+    Vibration near the logging rate comes back as a swell of seconds, of which a shorter window sees
+    no more than a constant. Only a comparison of windows shows it. Faults of less than half of the
+    flight do not: the median is taken of squared distances from the median.
+    """
+    known = looks.dof > FEWEST_DOF
+    n, q = int(known.sum()), len(parity)
+    if n < FEWEST_COMPARED or not bool((np.linalg.eigvalsh(looks.covariance[known]) > 0.0).all()):
+        return 1.0
+    usual = parity @ np.median(looks.mean[known] @ parity, axis=0)
+    apart = looks.mean[known] - usual
+    weight = np.linalg.inv(looks.covariance[known])
+    distance = np.einsum("wi,wij,wj->w", apart, weight, apart)
+    # Median of chi-square by E. B. Wilson and M. M. Hilferty, PNAS 17, 1931, 684-688.
+    ratio = np.sqrt(float(np.median(distance)) / (q * (1.0 - 2.0 / (9.0 * q)) ** 3))
+    return float(max(1.0, ratio * (1.0 - SIGMAS_OF_RATIO / np.sqrt(n))))
 
 
 def _middlemost(looks: WindowedMean, parity: Floats) -> Floats:

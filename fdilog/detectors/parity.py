@@ -24,6 +24,7 @@ from fdilog.geometry import (
 )
 from fdilog.isolation import comparative_evidence, isolate
 from fdilog.registry import Stage
+from fdilog.usual import usual
 from fdilog.windows import Survey
 
 
@@ -88,6 +89,7 @@ class ParityDetector:
                         survey.table.axes[list(moments.channels)],
                         survey.config,
                         survey.windows.length_s,
+                        usual(survey.table).offset[list(moments.channels)],
                     )
                     for moments in survey.moments
                 ],

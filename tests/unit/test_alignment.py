@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.alignment import aligned_windows, for_aligned
+from fdilog.alignment import aligned_windows
 from fdilog.analysis import judge
 from fdilog.config import Config
 from fdilog.finding import Evidence
@@ -51,9 +51,3 @@ def test_no_window_laid_to_fit_accuses_a_sound_gyro() -> None:
 def test_quiet_gyros_give_no_hint() -> None:
     table = triads(3)
     assert aligned_windows(table, evidence(table)) is None
-
-
-def test_what_was_chosen_from_many_places_needs_to_be_surer() -> None:
-    config = Config()
-    stricter = for_aligned(config).windows.confidence
-    assert 1.0 - stricter == pytest.approx((1.0 - config.windows.confidence) / 100.0)

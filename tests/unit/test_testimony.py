@@ -1,0 +1,66 @@
+"""What the course of the differences from an attitude tells of two gyros."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fdilog import testimony
+from fdilog.anchors import Drift
+from tests.tables import DEG
+
+NO_DRIFT = Drift(
+    error_rad_s=np.zeros(3),
+    half_width_rad_s=np.ones(3),
+    tilt_rad=0.0,
+    anchors=("gravity", "compass"),
+)
+
+
+def said(*thirds_deg_s: float, anchored_deg_s: float = 0.0) -> testimony.Testimony:
+    first, middle, last = (size * DEG for size in thirds_deg_s)
+    return testimony.Testimony(
+        error=(first + middle + last) / 3.0,
+        half_width=0.1 * DEG,
+        drift=NO_DRIFT,
+        anchored=anchored_deg_s * DEG,
+        anchored_half_width=3.0 * DEG,
+        tolerance=1.0 * DEG,
+        thirds=(first, middle, last),
+    )
+
+
+def test_a_gyro_that_left_the_attitude_by_one_step_is_off_by_it() -> None:
+    assert said(3.1, 2.8, 3.0).step == pytest.approx(2.97 * DEG, abs=0.01 * DEG)
+
+
+@pytest.mark.parametrize(
+    "thirds",
+    [(3.0, 1.5, 0.7), (0.4, 1.4, 2.1), (3.0, 3.0, -3.0), (0.5, 0.6, 0.5)],
+    ids=["followed", "comes off", "turns back", "within tolerance"],
+)
+def test_other_courses_are_no_step(thirds: tuple[float, float, float]) -> None:
+    assert said(*thirds).step == 0.0
+
+
+@pytest.mark.parametrize("tau_s", [5.0, 20.0, 60.0])
+def test_what_a_corrected_filter_followed_is_touched(tau_s: float) -> None:
+    left = 3.0 * (1.0 - np.exp(-np.array([5.0, 15.0, 25.0]) / tau_s))
+    assert not said(*left).untouched(-3.0 * DEG)
+
+
+def test_what_manoeuvres_do_to_an_attitude_is_no_touch() -> None:
+    assert said(0.3, -0.4, 0.1).untouched(3.0 * DEG)
+
+
+def test_anchors_bear_out_what_they_are_nearer_to() -> None:
+    assert said(3.0, 3.0, 3.0, anchored_deg_s=2.0).borne_out(3.0 * DEG, 1.0)
+    assert not said(3.0, 3.0, 3.0, anchored_deg_s=1.0).borne_out(3.0 * DEG, 1.0)
+
+
+def test_a_single_gyro_needs_surer_anchors() -> None:
+    vague = said(3.0, 3.0, 3.0, anchored_deg_s=2.0)
+    assert not vague.borne_out(3.0 * DEG, testimony.LEAST_ODDS)
+    assert replace(vague, anchored_half_width=1.5 * DEG).borne_out(3.0 * DEG, testimony.LEAST_ODDS)
