@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -102,8 +102,8 @@ class Moments:
     parity_mean
         Mean parity vector p, (n, q), with its covariance and degrees of freedom. [rad/s]
     typical : (q, q)
-        Covariance of the mean parity vector in the middlemost of all windows of this length.
-        [rad^2/s^2]
+        Covariance of the mean parity vector in the middlemost of all windows of this length, for
+        as many samples. [rad^2/s^2]
     restless
         By how much more than they are known to the means of all windows of this length differ from
         one another, at least; one or more. [1]
@@ -221,53 +221,60 @@ class Survey:
         sums = np.zeros((len(readings) + 1, len(columns)))
         np.cumsum(readings, axis=0, out=sums[1:])
         sizes = stop - start
-        for size in np.unique(sizes[sizes > 0]):
-            of_size = np.flatnonzero(sizes == size)
-            first, last = start[of_size], stop[of_size] - 1
+        looks: dict[int, WindowedMean] = {}
+        for size in np.unique(sizes[sizes > 0]).tolist():
             view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
-            elapsed = np.maximum(time_s[last] - time_s[first], self.table.period_s)[:, None]
-            rise = readings[last] - readings[first]
-            looks = windowed_mean(view[first].transpose(0, 2, 1))
-            yield Moments(
-                windows=here[of_size],
-                channels=channels,
-                mean=(sums[last + 1] - sums[first]) / size,
-                slope=np.divide(rise, elapsed, out=np.zeros_like(rise), where=elapsed > 0),
-                parity=parity,
-                parity_mean=looks,
-                typical=_middlemost(looks, parity),
-                restless=_restless(looks, parity),
-            )
+            looks[size] = windowed_mean(view[start[sizes == size]].transpose(0, 2, 1))
+        # Windows of one length hold a few samples more or less, those laid to fit any number.
+        alike = [list(looks)] if self.windows.length_s > 0.0 else [[size] for size in looks]
+        for family in alike:
+            typical = _middlemost([(size, looks[size]) for size in family], parity)
+            restless = _restless([looks[size] for size in family], parity)
+            for size in family:
+                of_size = np.flatnonzero(sizes == size)
+                first, last = start[of_size], stop[of_size] - 1
+                elapsed = np.maximum(time_s[last] - time_s[first], self.table.period_s)[:, None]
+                rise = readings[last] - readings[first]
+                yield Moments(
+                    windows=here[of_size],
+                    channels=channels,
+                    mean=(sums[last + 1] - sums[first]) / size,
+                    slope=np.divide(rise, elapsed, out=np.zeros_like(rise), where=elapsed > 0),
+                    parity=parity,
+                    parity_mean=looks[size],
+                    typical=typical / size,
+                    restless=restless,
+                )
 
 
-def _restless(looks: WindowedMean, parity: Floats) -> float:
+def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:
     """Ratio of the spread of the means of windows to what each window says of it; one or more.
 
     Vibration near the logging rate comes back as a swell of seconds, of which a shorter window sees
     no more than a constant. Only a comparison of windows shows it. Faults of less than half of the
     flight do not: the median is taken of squared distances from the median.
     """
-    known = looks.dof > FEWEST_DOF
-    n, q = int(known.sum()), len(parity)
-    if n < FEWEST_COMPARED or not bool((np.linalg.eigvalsh(looks.covariance[known]) > 0.0).all()):
+    mean = np.concatenate([looks.mean[looks.dof > FEWEST_DOF] for looks in family])
+    covariance = np.concatenate([looks.covariance[looks.dof > FEWEST_DOF] for looks in family])
+    n, q = len(mean), len(parity)
+    if n < FEWEST_COMPARED or not bool((np.linalg.eigvalsh(covariance) > 0.0).all()):
         return 1.0
-    usual = parity @ np.median(looks.mean[known] @ parity, axis=0)
-    apart = looks.mean[known] - usual
-    weight = np.linalg.inv(looks.covariance[known])
-    distance = np.einsum("wi,wij,wj->w", apart, weight, apart)
+    apart = mean - parity @ np.median(mean @ parity, axis=0)
+    distance = np.einsum("wi,wij,wj->w", apart, np.linalg.inv(covariance), apart)
     # Median of chi-square by E. B. Wilson and M. M. Hilferty, PNAS 17, 1931, 684-688.
     ratio = np.sqrt(float(np.median(distance)) / (q * (1.0 - 2.0 / (9.0 * q)) ** 3))
     return float(max(1.0, ratio * (1.0 - SIGMAS_OF_RATIO / np.sqrt(n))))
 
 
-def _middlemost(looks: WindowedMean, parity: Floats) -> Floats:
-    """Median of the covariances of windows, taken in the space of the channels.
+def _middlemost(family: Sequence[tuple[int, WindowedMean]], parity: Floats) -> Floats:
+    """Median of the covariances of windows, each times its samples, in the space of the channels.
 
     There it does not depend on the basis of the parity space.
     """
-    known = looks.dof > 0
-    if not bool(known.any()):
+    known = [size * looks.covariance[looks.dof > 0] for size, looks in family]
+    covariance = np.concatenate(known) if known else np.zeros((0, len(parity), len(parity)))
+    if not len(covariance):
         return np.zeros((len(parity), len(parity)))
-    median = np.median(parity.T @ looks.covariance[known] @ parity, axis=0)
+    median = np.median(parity.T @ covariance @ parity, axis=0)
     typical: Floats = parity @ median @ parity.T
     return typical
