@@ -218,6 +218,8 @@ def compare(
     usual = np.einsum("iq,qr,ir->i", of_parity, moments.typical, of_parity)
     half_width = _half_width(looks, own, config.windows.confidence)
     doubt = moments.restless * _half_width(looks, np.maximum(own, usual), family_confidence)
+    swell = np.einsum("iq,wqr,ir->wi", of_parity, moments.swell, of_parity)
+    doubt = np.maximum(doubt, np.sqrt(np.maximum(swell, 0.0)))
     predicted = moments.mean - error
     tolerance = np.sqrt(
         np.radians(config.tolerance.bias_deg_s) ** 2

@@ -27,6 +27,8 @@ FEWEST_COMPARED, FEWEST_DOF = 30, 5.0
 # Twice the standard error of the spread of half-overlapping windows by their median, times the root
 # of their number.
 SIGMAS_OF_RATIO = 2.8
+# Vibration aliased to next to nothing stands still for a second or two now and then.
+SWELL_S = 5.0
 
 
 def stretches(table: ChannelTable, config: Config) -> list[tuple[int, int]]:
@@ -107,6 +109,9 @@ class Moments:
     restless
         By how much more than they are known to the means of all windows of this length differ from
         one another, at least; one or more. [1]
+    swell : (n, q, q)
+        Covariance of a sample of the parity vector in windows shorter than `SWELL_S`, else zero:
+        what of it is vibration near the logging rate may stand still for as long. [rad^2/s^2]
     """
 
     windows: NDArray[np.int64]
@@ -117,6 +122,7 @@ class Moments:
     parity_mean: WindowedMean
     typical: Floats
     restless: float
+    swell: Floats
 
     def at(self, rows: NDArray[np.int64]) -> Moments:
         """Return the moments of some of these windows."""
@@ -127,6 +133,7 @@ class Moments:
             mean=self.mean[rows],
             slope=self.slope[rows],
             parity_mean=WindowedMean(looks.mean[rows], looks.covariance[rows], looks.dof[rows]),
+            swell=self.swell[rows],
         )
 
 
@@ -244,7 +251,17 @@ class Survey:
                     parity_mean=looks[size],
                     typical=typical / size,
                     restless=restless,
+                    swell=self._swell(residuals, first, size),
                 )
+
+    def _swell(self, residuals: Floats, first: NDArray[np.int64], size: int) -> Floats:
+        """Covariance of the samples in some windows, if they are short."""
+        q = residuals.shape[1]
+        if not 0.0 < self.windows.length_s < SWELL_S:
+            return np.zeros((len(first), q, q))
+        view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)[first]
+        apart = view - view.mean(axis=2, keepdims=True)
+        return np.asarray(apart @ np.swapaxes(apart, 1, 2) / size, np.float64)
 
 
 def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:

@@ -62,3 +62,14 @@ def test_a_bias_from_take_off_to_landing_is_not_taken_for_usual() -> None:
     table = changed(triads(3, seconds=90.0), "imu2.y", 0.0, 100.0, add=1.6 * DEG)
     (finding,) = judge(table, CONFIG).findings
     assert (finding.kind, finding.suspects) == ("bias", ("imu2.y",))
+
+
+@pytest.mark.parametrize(("vibration_deg_s", "findings"), [(0.0, 1), (8.0, 0)])
+def test_a_second_of_vibration_that_stands_still_accuses_nobody(
+    vibration_deg_s: float, findings: int
+) -> None:
+    table = triads(2, seconds=90.0, rate_hz=200.0)
+    rate = table.rate_rad_s.copy()
+    rate[:, IMU1_Y] += vibration_deg_s * DEG * np.sin(2.0 * np.pi * 61.8 * table.time_s)
+    table = changed(put(table, rate), "imu1.y", 40.0, 41.2, add=4.0 * DEG)
+    assert len(judge(table, CONFIG).findings) == findings
