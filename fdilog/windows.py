@@ -27,6 +27,8 @@ FEWEST_COMPARED, FEWEST_DOF = 30, 5.0
 # Twice the standard error of the spread of half-overlapping windows by their median, times the root
 # of their number.
 SIGMAS_OF_RATIO = 2.8
+# A variance below this part of another is none.
+ROUNDING = 1e-12
 # Vibration aliased to next to nothing stands still for a second or two now and then.
 SWELL_S = 5.0
 
@@ -234,7 +236,7 @@ class Survey:
             looks[size] = windowed_mean(view[start[sizes == size]].transpose(0, 2, 1))
         # Windows of one length hold a few samples more or less, those laid to fit any number.
         alike = [list(looks)] if self.windows.length_s > 0.0 else [[size] for size in looks]
-        for family in alike:
+        for family in alike if looks else []:
             typical = _middlemost([(size, looks[size]) for size in family], parity)
             restless = _restless([looks[size] for size in family], parity)
             for size in family:
@@ -274,7 +276,9 @@ def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:
     mean = np.concatenate([looks.mean[looks.dof > FEWEST_DOF] for looks in family])
     covariance = np.concatenate([looks.covariance[looks.dof > FEWEST_DOF] for looks in family])
     n, q = len(mean), len(parity)
-    if n < FEWEST_COMPARED or not bool((np.linalg.eigvalsh(covariance) > 0.0).all()):
+    strength = np.linalg.eigvalsh(covariance)
+    # Readings that never change leave nothing to compare with.
+    if n < FEWEST_COMPARED or not bool((strength[:, 0] > ROUNDING * strength[:, -1]).all()):
         return 1.0
     apart = mean - parity @ np.median(mean @ parity, axis=0)
     distance = np.einsum("wi,wij,wj->w", apart, np.linalg.inv(covariance), apart)

@@ -73,3 +73,13 @@ def test_a_second_of_vibration_that_stands_still_accuses_nobody(
     rate[:, IMU1_Y] += vibration_deg_s * DEG * np.sin(2.0 * np.pi * 61.8 * table.time_s)
     table = changed(put(table, rate), "imu1.y", 40.0, 41.2, add=4.0 * DEG)
     assert len(judge(table, CONFIG).findings) == findings
+
+
+def test_channels_that_are_never_read_together_are_not_compared() -> None:
+    table = triads(2)
+    rate = table.rate_rad_s.copy()
+    rate[::2, :3] = np.nan
+    rate[1::2, 3:] = np.nan
+    judged = judge(put(table, rate), CONFIG)
+    assert judged.findings == ()
+    assert set(judged.status) == {"insufficient"}
