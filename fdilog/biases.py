@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.accusations import Accusation, Cluster, accusations, region, spanned
+from fdilog.accusations import Accusation, Cluster, accusations, spanned
 from fdilog.config import Config
 from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Finding, Size
 from fdilog.geometry import leave_one_out
 from fdilog.isolation import isolate
 from fdilog.noise import windowed_mean
-from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of
+from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of, widened
 from fdilog.table import ChannelTable
 from fdilog.testimony import Statement
 from fdilog.traces import trace_of
@@ -65,33 +65,27 @@ def bias_findings(
 def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     """Find the span of a fault, who is accused over just that span, and of what shape it is."""
     step = Shape(kind="bias", start=cluster.start, stop=cluster.stop, gain=0.0, size=0.0)
-    step = _placed_step(table, cluster, config) or step
-    fault = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
+    accused = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
+    fault = replace(accused, shape=_placed_step(table, accused, config) or step)
     return shaped(table, _tested(table, fault, config), config)
 
 
-def _placed_step(table: ChannelTable, cluster: Cluster, config: Config) -> Shape | None:
+def _placed_step(table: ChannelTable, accused: Fault, config: Config) -> Shape | None:
     """Find the step around some accusations.
 
     Manoeuvres and vibration may leave in doubt what it is a part of: the region in which it is
-    looked for is widened as long as it reaches to its edges, up to the longest windows.
+    looked for is widened as long as it reaches to its edges.
     """
     found = None
-    reach_s = cluster.longest_s / 2
-    while True:
-        first, last = region(table, cluster.start, cluster.stop, reach_s)
-        trace = trace_of(table, min(cluster.suspects), frozenset(), first, last)
-        if trace is None:
-            return found
+    for trace in widened(table, accused, accused.longest_s / 2, config):
         step = best_step(trace.residual, trace.weight())
         placed = trace.placed(step)
         if found is not None and (placed.start > found.start or placed.stop < found.stop):
-            return found  # a larger fault nearby is another one
+            break  # a larger fault nearby is another one
         found = placed
-        inside = step.start > 0 and step.stop < len(trace.rows)
-        if inside or reach_s > max(config.windows.lengths_s):
-            return found
-        reach_s = 2.0 * max(reach_s, table.period_s)
+        if trace.holds(step):
+            break
+    return found
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:

@@ -152,15 +152,18 @@ class _Cells:
     scatter: Floats
     dof: Floats
 
+    def errors(self, rows: Floats) -> tuple[Floats, Floats]:
+        """Return errors by some rows of comparison, and their standard errors, both (n, k)."""
+        variance = np.einsum("ci,nij,cj->nc", rows, self.scatter, rows)
+        return self.mean @ rows.T, np.sqrt(np.maximum(variance, 0.0))
+
     def sure(self, axes: Floats) -> Floats:
         """Tell how many standard errors are sure in each cell, (n,).
 
         They are more by as much as the errors of this flight are usually larger than white noise
         would make them, within bounds.
         """
-        rows = np.nan_to_num(leave_one_out(axes))
-        sigma = np.sqrt(np.maximum(np.einsum("ci,nij,cj->nc", rows, self.scatter, rows), 0.0))
-        error = self.mean @ rows.T
+        error, sigma = self.errors(np.nan_to_num(leave_one_out(axes)))
         if not len(error):
             return np.zeros(0)
         noisy = sigma > 0.0
@@ -185,9 +188,7 @@ class _Cells:
         tested[list(removed)] = False
         if not tested.any():
             return None
-        rows = np.where(tested[:, None], rows, 0.0)
-        error = self.mean @ rows.T
-        sigma = np.sqrt(np.maximum(np.einsum("ci,nij,cj->nc", rows, self.scatter, rows), 0.0))
+        error, sigma = self.errors(np.where(tested[:, None], rows, 0.0))
         tolerance = np.sqrt(
             np.radians(config.tolerance.bias_deg_s) ** 2
             + (config.tolerance.scale * (self.mean - error)) ** 2

@@ -311,7 +311,9 @@ def detectable(axes: ArrayLike) -> NDArray[np.bool_]:
     return found
 
 
-def leave_one_out(axes: ArrayLike, removed: Sequence[int] = ()) -> Floats:
+def leave_one_out(
+    axes: ArrayLike, removed: Sequence[int] = (), sigma: Floats | None = None
+) -> Floats:
     """Rows that compare each channel with its least-squares prediction from the others.
 
     Parameters
@@ -320,6 +322,9 @@ def leave_one_out(axes: ArrayLike, removed: Sequence[int] = ()) -> Floats:
         Sensitivity axes H. [1]
     removed
         Channels that predict nothing, being known to be bad. They are still compared themselves.
+    sigma : (n_channels,)
+        Relative noise, with the inverse squares of which channels weigh in the prediction; all
+        alike by default. [1]
 
     Returns
     -------
@@ -332,6 +337,9 @@ def leave_one_out(axes: ArrayLike, removed: Sequence[int] = ()) -> Floats:
     [Triads] search 4; the closed form is the deleted residual of linear regression.
     """
     array = checked_axes(axes)
+    if sigma is not None:
+        rows_of_alike = leave_one_out(array / sigma[:, None], removed)
+        return np.asarray(rows_of_alike * sigma[:, None] / sigma, np.float64)
     n = len(array)
     struck = set(removed)
     if not struck <= set(range(n)):

@@ -202,8 +202,7 @@ def compare(
     [Triads] search 4 and its tolerance ``d = 3 sqrt(s_b^2 + (s_k z_p)^2)``; section 6 of the
     suite's notes for the term in the rate of change.
     """
-    sigma = np.sqrt(variance)
-    rows = leave_one_out(axes / sigma[:, None], removed) * sigma[:, None] / sigma[None, :]
+    rows = leave_one_out(axes, removed, np.sqrt(variance))
     tested = np.asarray(np.isfinite(rows).all(axis=1), bool)
     rows = np.where(tested[:, None], rows, 0.0)
     # Every row annihilates H, so it is a combination of the parity vector.

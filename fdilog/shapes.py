@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,18 +50,27 @@ def shaped(table: ChannelTable, fault: Fault, config: Config) -> Fault:
     A drift is noticed late, when it has grown: the region in which it is looked for is widened as
     long as it reaches to its edges, up to the longest windows.
     """
-    reach_s = max(float(table.time_s[fault.stop - 1] - table.time_s[fault.start]), fault.longest_s)
+    length_s = float(table.time_s[fault.stop - 1] - table.time_s[fault.start])
+    found = None
+    for trace in widened(table, fault, max(length_s, fault.longest_s), config):
+        ramp = best_ramp(trace.residual, trace.time_s)
+        found = other_shape(trace, ramp)
+        if trace.holds(ramp):
+            break
+    return fault if found is None else replace(fault, shape=found)
+
+
+def widened(table: ChannelTable, fault: Fault, reach_s: float, config: Config) -> Iterator[Trace]:
+    """Trace the first suspect around a fault, ever further, up to the longest windows."""
     while True:
         around = region(table, fault.start, fault.stop, reach_s)
         trace = trace_of(table, min(fault.suspects), fault.removed, *around)
         if trace is None:
-            return fault
-        ramp = best_ramp(trace.residual, trace.time_s)
-        found = other_shape(trace, ramp)
-        inside = ramp.start > 0 and ramp.stop < len(trace.rows)
-        if inside or reach_s > max(config.windows.lengths_s):
-            return fault if found is None else replace(fault, shape=found)
-        reach_s *= 2.0
+            return
+        yield trace
+        if reach_s > max(config.windows.lengths_s):
+            return
+        reach_s = 2.0 * max(reach_s, table.period_s)
 
 
 def other_shape(trace: Trace, shape: Shape) -> Shape | None:

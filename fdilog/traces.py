@@ -44,6 +44,10 @@ class Trace:
         start, stop = int(self.rows[shape.start]), int(self.last[shape.stop - 1]) + 1
         return replace(shape, start=start, stop=stop)
 
+    def holds(self, shape: Shape) -> bool:
+        """Whether a shape found in this trace begins and ends within."""
+        return shape.start > 0 and shape.stop < len(self.rows)
+
     def averaged(self) -> Trace:
         """Return means over `MANOEUVRE_S`, in which motion is left and vibration is not.
 
@@ -96,9 +100,7 @@ def trace_of(
     table: ChannelTable, channel: int, removed: frozenset[int], first: int, last: int
 ) -> Trace | None:
     """Trace one channel from the first sample up to the last, or nothing if it cannot be."""
-    sigma = usual(table).sigma
-    row = leave_one_out(table.axes / sigma[:, None], sorted(removed))[channel]
-    row = row * sigma[channel] / sigma
+    row = leave_one_out(table.axes, sorted(removed), usual(table).sigma)[channel]
     if not bool(np.isfinite(row).all()):
         return None
     needed = np.flatnonzero(row != 0)
