@@ -420,12 +420,8 @@ def with_derived(gyros: ChannelTable, table: ChannelTable) -> ChannelTable:
     derived = [k for k, channel in enumerate(table.channels) if channel.derived]
     if not derived:
         return gyros
-    return replace(
-        gyros,
-        rate_rad_s=np.column_stack([gyros.rate_rad_s, table.rate_rad_s[:, derived]]),
-        valid=np.column_stack([gyros.valid, table.valid[:, derived]]),
-        channels=(*gyros.channels, *(table.channels[k] for k in derived)),
-    )
+    channels = [table.channels[k] for k in derived]
+    return gyros.beside(table.rate_rad_s[:, derived], table.valid[:, derived], channels)
 
 
 def compared_channels(table: ChannelTable) -> list[int]:
@@ -476,13 +472,7 @@ def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
             item.windows.start, item.windows.stop, item.accused, strict=True
         ):
             valid[start:stop, accused > 0] = False
-    return ChannelTable(
-        time_s=table.time_s,
-        rate_rad_s=np.where(valid, table.rate_rad_s, np.nan),
-        valid=valid,
-        channels=table.channels,
-        period_s=table.period_s,
-    )
+    return replace(table, rate_rad_s=np.where(valid, table.rate_rad_s, np.nan), valid=valid)
 
 
 def _part_of(assembly: Assembly, recording: Recording, part: Part) -> ChannelTable:

@@ -21,6 +21,8 @@ LATEST_NS = 2**62
 HOLE_PERIODS = 5.0
 # Periods of one nominal rate differ by the tolerance of oscillators and by jitter: less than this.
 SAME_RATE = 1.01
+# So near to an instant a source must have been sampled to be read there: half a period, and jitter
+NEAR = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,6 +188,36 @@ def _period_ns(time: Times) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else float("inf")
 
 
+def _after(time_ns: Times, base: TimeBase) -> Times:
+    """Give, for each instant, the later of the two samples that it lies between."""
+    if len(time_ns) == 1:
+        return np.zeros(len(base.time_ns), np.int64)
+    return np.clip(np.searchsorted(time_ns, base.time_ns), 1, len(time_ns) - 1)
+
+
+def nearest_samples(time_ns: Times, base: TimeBase) -> tuple[Times, NDArray[np.bool_]]:
+    """Give, for each instant, the nearest sample of a source, and whether it is near enough.
+
+    Parameters
+    ----------
+    time_ns : (n_source,)
+        Strictly increasing, at least one. [ns]
+
+    Returns
+    -------
+    nearest : (n_samples,)
+        Which of the source's samples.
+    near : (n_samples,) bool
+        Whether it lies within 0.6 of a base period.
+    """
+    upper = _after(time_ns, base)
+    lower = np.maximum(upper - 1, 0)
+    to_lower = np.abs(base.time_ns - time_ns[lower])
+    to_upper = np.abs(time_ns[upper] - base.time_ns)
+    nearest = np.where(to_lower <= to_upper, lower, upper)
+    return nearest, np.minimum(to_lower, to_upper) <= NEAR * base.period_ns
+
+
 def place(
     time_ns: Times, values: NDArray[np.float64], base: TimeBase
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -211,14 +243,10 @@ def place(
     if len(time_ns) == len(base.time_ns) and bool((time_ns == base.time_ns).all()):
         valid = np.isfinite(values)
         return np.where(valid, values, np.nan), valid
-    upper = np.clip(np.searchsorted(time_ns, base.time_ns), 1, max(len(time_ns) - 1, 1))
-    if len(time_ns) == 1:
-        upper = np.zeros(len(base.time_ns), np.int64)
+    upper = _after(time_ns, base)
     lower = np.maximum(upper - 1, 0)
     to_lower = base.time_ns - time_ns[lower]
-    to_upper = time_ns[upper] - base.time_ns
-    nearest = np.where(np.abs(to_lower) <= np.abs(to_upper), lower, upper)
-    near = np.minimum(np.abs(to_lower), np.abs(to_upper)) <= 0.6 * base.period_ns
+    nearest, near = nearest_samples(time_ns, base)
     step = np.maximum(time_ns[upper] - time_ns[lower], 1)
     fraction = to_lower / step
     # Interpolate only across one ordinary step of this source, and never beyond its ends.

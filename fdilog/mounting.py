@@ -149,7 +149,11 @@ def turned_back(table: ChannelTable, found: Sequence[Mounting]) -> ChannelTable:
         readings = np.where(whole[:, None], rate[span][:, columns], 0.0) @ back.T
         rate[span, columns] = np.where(whole[:, None], readings, np.nan)
         valid[span, columns] = whole[:, None]
-        table = replace(table, rate_rad_s=rate, valid=valid)
+        deviation = table.deviation_rad_s
+        if deviation is not None:
+            deviation = deviation.copy()
+            deviation[span, columns] = deviation[span][:, columns] @ back.T
+        table = replace(table, rate_rad_s=rate, valid=valid, deviation_rad_s=deviation)
     return table
 
 

@@ -21,6 +21,8 @@ Rows = NDArray[np.int64]
 
 # The deviation of white noise from the mean of two neighbours, (1 + 1/4 + 1/4)^(1/2).
 DEVIATION_GAIN = np.sqrt(1.5)
+# Neighbours are no further apart than this: one lost record is bridged. [steps]
+STEPS_APART = 2.5
 # Readings a coefficient: with ten of them, chance fits away a tenth of the variance.
 READINGS_A_COEFFICIENT = 10
 # Of more readings than these, evenly spaced ones are fitted: a dozen coefficients are known well.
@@ -41,23 +43,66 @@ def deviations(table: ChannelTable) -> Floats:
     """
     deviation = np.zeros(table.rate_rad_s.shape)
     for channel in range(len(table.channels)):
+        rows = np.flatnonzero(table.valid[:, channel])
+        readings = table.rate_rad_s[rows, channel]
+        rate_hz = table.channels[channel].rate_hz
+        deviation[rows, channel] = from_neighbours(table.time_s[rows], readings, rate_hz)
+    return deviation
+
+
+def from_neighbours(time_s: Floats, readings: Floats, rate_hz: float) -> Floats:
+    """Deviation of the readings of one source from the mean of the two beside each.
+
+    Parameters
+    ----------
+    readings : (n,) or (n, n_axes)
+        [rad/s]
+
+    Returns
+    -------
+    deviation : as readings
+        0 where a neighbour is missing, or further away than two and a half steps. [rad/s]
+    """
+    deviation = np.zeros_like(readings)
+    near = _near(time_s, rate_hz)
+    middle = readings[1:-1] - (readings[:-2] + readings[2:]) / 2.0
+    deviation[1:-1][near] = middle[near]
+    return deviation
+
+
+def deviations_as_logged(table: ChannelTable) -> Floats:
+    """Deviation of every reading from the mean of its two neighbours when it was logged.
+
+    Interpolation between two readings, as it brings sources onto one time base, takes up to all of
+    the noise near half the logging rate away, and more or less of it as stamps drift apart. For
+    comparing noise.
+
+    Returns
+    -------
+    deviation : (n_samples, n_channels)
+        0 as for `deviations`. [rad/s]
+    """
+    logged = table.deviation_rad_s
+    if logged is None:
+        return deviations(table)
+    deviation = np.zeros_like(logged)
+    for channel in range(len(table.channels)):
         rows, near = _neighboured(table, channel)
-        if len(rows) < 3:
-            continue
-        values = table.rate_rad_s[rows, channel]
-        middle = values[1:-1] - (values[:-2] + values[2:]) / 2.0
-        deviation[rows[1:-1], channel] = np.where(near, middle, 0.0)
+        deviation[rows[1:-1], channel] = np.where(near, logged[rows[1:-1], channel], 0.0)
     return deviation
 
 
 def _neighboured(table: ChannelTable, channel: int) -> tuple[Rows, NDArray[np.bool_]]:
     """Rows at which a channel was recorded, and which of the inner ones have both neighbours."""
     rows = np.flatnonzero(table.valid[:, channel])
-    rate_hz = table.channels[channel].rate_hz
-    if len(rows) < 3 or not rate_hz:
-        return rows[:0], np.zeros(0, bool)
-    step_s = np.diff(table.time_s[rows])
-    return rows, np.asarray(np.maximum(step_s[1:], step_s[:-1]) < 2.5 / rate_hz, bool)
+    near = _near(table.time_s[rows], table.channels[channel].rate_hz)
+    return (rows, near) if near.any() else (rows[:0], near[:0])
+
+
+def _near(time_s: Floats, rate_hz: float) -> NDArray[np.bool_]:
+    """Tell which of the inner ones of some instants have both neighbours."""
+    step_s = np.diff(time_s)
+    return np.asarray(np.maximum(step_s[1:], step_s[:-1]) * rate_hz < STEPS_APART, bool)
 
 
 def innovations(

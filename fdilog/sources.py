@@ -10,7 +10,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.clocks import CleanStamps, TimeBase, clean_stamps, hole_threshold_s, place, time_base
+from fdilog.clocks import (
+    CleanStamps,
+    TimeBase,
+    clean_stamps,
+    hole_threshold_s,
+    nearest_samples,
+    place,
+    time_base,
+)
 from fdilog.config import Config, GyroSource
 from fdilog.errors import NoGyroError, UsageError, nearest
 from fdilog.offsets import ClockOffset, estimate_offset
@@ -144,6 +152,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         valid=np.concatenate([valid for _, valid in placed], axis=1),
         channels=_channels(gyros, axes),
         period_s=base.period_ns / 1e9,
+        deviation_rad_s=_deviations(gyros, base),
     )
     table, infos, witness = _witnessed(recording, table, infos, zero_ns, config)
     if witness is not None and witness.clock is not None:
@@ -156,6 +165,21 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         clocks=clocks,
         witness=witness,
     )
+
+
+def _deviations(gyros: Sequence[Gyro], base: TimeBase) -> NDArray[np.float64] | None:
+    """Say how far readings lay from their neighbours as logged, if any had to be interpolated."""
+    from fdilog.prediction import from_neighbours
+
+    if all(np.array_equal(gyro.time_ns, base.time_ns) for gyro in gyros):
+        return None
+    columns = []
+    for gyro in gyros:
+        time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
+        found = from_neighbours(time_s, gyro.rate_rad_s, _rate_hz(gyro.time_ns))
+        nearest, near = nearest_samples(gyro.time_ns, base)
+        columns.append(np.where(near[:, None] & np.isfinite(found[nearest]), found[nearest], 0.0))
+    return np.concatenate(columns, axis=1)
 
 
 def _witnessed(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +59,10 @@ class ChannelTable:
         Whether a reading was really logged there; a gap is False, never filled.
     period_s
         Nominal step of the time base. [s]
+    deviation_rad_s : (n_samples, n_channels) or None
+        How far each reading lay from the mean of the two beside it when it was logged, 0 where that
+        is not known. Readings interpolated to the time base are smoother than those they were made
+        from; None if none is. [rad/s]
     """
 
     time_s: NDArray[np.float64]
@@ -66,6 +70,7 @@ class ChannelTable:
     valid: NDArray[np.bool_]
     channels: tuple[Channel, ...]
     period_s: float = field(default=0.0)
+    deviation_rad_s: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         n_samples, n_channels = len(self.time_s), len(self.channels)
@@ -75,6 +80,11 @@ class ChannelTable:
             )
         if self.valid.shape != self.rate_rad_s.shape:
             raise ValueError(f"valid is {self.valid.shape}, expected {self.rate_rad_s.shape}")
+        deviation = self.deviation_rad_s
+        if deviation is not None and deviation.shape != self.rate_rad_s.shape:
+            raise ValueError(
+                f"deviation_rad_s is {deviation.shape}, expected {self.rate_rad_s.shape}"
+            )
         if n_samples > 1 and not bool((np.diff(self.time_s) > 0).all()):
             raise ValueError("time_s must increase strictly")
         if not bool(np.isfinite(self.rate_rad_s[self.valid]).all()):
@@ -116,12 +126,31 @@ class ChannelTable:
         """Return the table with some of its channels, in the order given."""
         if list(kept) == list(range(len(self.channels))):
             return self
-        return ChannelTable(
-            time_s=self.time_s,
+        deviation = self.deviation_rad_s
+        return replace(
+            self,
             rate_rad_s=self.rate_rad_s[:, list(kept)],
             valid=self.valid[:, list(kept)],
             channels=tuple(self.channels[k] for k in kept),
-            period_s=self.period_s,
+            deviation_rad_s=None if deviation is None else deviation[:, list(kept)],
+        )
+
+    def beside(
+        self,
+        rate_rad_s: NDArray[np.float64],
+        valid: NDArray[np.bool_],
+        channels: Sequence[Channel],
+    ) -> ChannelTable:
+        """Return the table with more channels behind its own, as logged at its instants."""
+        deviation = self.deviation_rad_s
+        return replace(
+            self,
+            rate_rad_s=np.column_stack([self.rate_rad_s, rate_rad_s]),
+            valid=np.column_stack([self.valid, valid]),
+            channels=(*self.channels, *channels),
+            deviation_rad_s=None
+            if deviation is None
+            else np.column_stack([deviation, np.zeros_like(rate_rad_s)]),
         )
 
     def between(self, start_s: float, end_s: float) -> ChannelTable:
@@ -131,12 +160,13 @@ class ChannelTable:
 
     def only(self, keep: NDArray[np.bool_]) -> ChannelTable:
         """Return the rows where keep is true; the time between them becomes a gap."""
-        return ChannelTable(
+        deviation = self.deviation_rad_s
+        return replace(
+            self,
             time_s=self.time_s[keep],
             rate_rad_s=self.rate_rad_s[keep],
             valid=self.valid[keep],
-            channels=self.channels,
-            period_s=self.period_s,
+            deviation_rad_s=None if deviation is None else deviation[keep],
         )
 
     def to_pandas(self) -> pd.DataFrame:

@@ -130,13 +130,8 @@ def find_witness(
     attitude = _without_jumps(attitude, table)
     turn = rotation_vectors(attitude.quaternion)
     rate, valid = mean_rates(attitude.time_s, turn, attitude.sound, table.time_s)
-    with_attitude = ChannelTable(
-        time_s=table.time_s,
-        rate_rad_s=np.column_stack([table.rate_rad_s, rate]),
-        valid=np.column_stack([table.valid, valid, valid, valid]),
-        channels=(*table.channels, *_channels(attitude)),
-        period_s=table.period_s,
-    )
+    columns = np.column_stack([valid, valid, valid])
+    with_attitude = table.beside(rate, columns, _channels(attitude))
     if _contradicts(table, rate) and not _turned(recording, with_attitude):
         return "it contradicts every gyro: turned otherwise than they are, or lost"
     anchors = anchored(recording, attitude, zero_ns, config)

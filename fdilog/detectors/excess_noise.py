@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
-from fdilog.prediction import DEVIATION_GAIN, deviations, innovations
+from fdilog.prediction import DEVIATION_GAIN, deviations_as_logged, innovations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
@@ -170,7 +170,7 @@ def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
     -------
     deviation, own : (n_samples, n_channels)
     """
-    deviation = deviations(table)
+    deviation = deviations_as_logged(table)
     own = [
         innovations(table, channel, noise_peers(table, channel), deviation[:, channel])[0]
         for channel in range(len(table.channels))

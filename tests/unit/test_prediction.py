@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from fdilog.analysis import judge
 from fdilog.config import Config
-from fdilog.prediction import deviations, innovations
+from fdilog.prediction import deviations, deviations_as_logged, innovations
+from fdilog.recording import Recording, Stream
+from fdilog.sources import channel_table
 from fdilog.table import ChannelTable
 from tests.tables import DEG, table_of
 
@@ -92,3 +94,34 @@ def test_vibration_that_swells_for_all_is_nobodys_noise() -> None:
     rate = table.rate_rad_s.copy()
     rate[(table.time_s >= 30.0) & (table.time_s < 50.0)] *= 6.0
     assert judge(table_of(table.time_s, rate), CONFIG).findings == ()
+
+
+def test_noise_is_compared_as_it_was_logged_and_not_as_interpolation_leaves_it() -> None:
+    period_ns, n = 10_000_000, 6000
+    rng = np.random.default_rng(11)
+    # Vibration near half the logging rate, each gyro's own; between two stamps it nearly vanishes.
+    alternating = (-1.0) ** np.arange(n)[:, None] * np.sqrt(2.0)
+    streams = []
+    for sensor in range(2):
+        swell = np.cos(2 * np.pi * np.arange(n)[:, None] / 173.0 + rng.uniform(0, 6, 3))
+        rate = 4.0 * DEG * alternating * swell + rng.normal(0.0, 0.3 * DEG, (n, 3))
+        streams.append(
+            Stream(
+                name=f"imu_{sensor}",
+                time_ns=np.arange(n) * period_ns + sensor * period_ns // 2,
+                columns=dict(zip("xyz", rate.T, strict=True)),
+                units=dict.fromkeys("xyz", "rad/s"),
+                clock="boot",
+                gyro=("x", "y", "z"),
+                sensor=sensor,
+            )
+        )
+    table = channel_table(Recording(path="", format="made", bytes=0, streams=tuple(streams)))
+    placed, logged = deviations(table).std(axis=0), deviations_as_logged(table).std(axis=0)
+    assert (placed[3:] < 0.2 * placed[:3]).all()
+    np.testing.assert_allclose(logged, logged.mean(), rtol=0.05)
+    assert judge(table, CONFIG).findings == ()
+    # What is removed, cut out or added beside stays in step with the readings.
+    for part in (table.columns([1, 4]), table.between(10.0, 20.0)):
+        assert part.deviation_rad_s is not None
+        assert part.deviation_rad_s.shape == part.rate_rad_s.shape
