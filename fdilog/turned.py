@@ -155,7 +155,7 @@ class Cells:
         usual = np.median(apart[known], axis=0) if known.any() else np.zeros(len(mountings))
         # The better of the two mountings that are compared tells what is usual between them.
         least = np.maximum(LEAST_MOTION_RAD_S, MOTION_SIGMAS * np.minimum(usual, usual[0]))
-        said = -np.log1p((apart / (FIT * np.maximum(size, LEAST_MOTION_RAD_S)[:, None])) ** 2)
+        said = _said(apart, size[:, None])
         gain = np.where(size[:, None] > least, said - said[:, :1], 0.0)
         return cls(rate=w, reading=z, mountings=mountings, apart=apart, gain=gain)
 
@@ -176,7 +176,7 @@ class Cells:
             a = int(total[: b + 1, k].argmin())
             a, b = first + a, first + b
             simple = self._simplest(k, a, b)
-            if simple and self._sure(simple, a, b):
+            if simple and self._sure(simple, a, b) and not self._offset(simple, a, b):
                 return self._turn(simple, a, b, (first, last))
         return None
 
@@ -187,6 +187,19 @@ class Cells:
             return False
         share = self.apart[rows, k] / np.linalg.norm(self.rate[rows], axis=1)
         return bool(np.median(share) < FOLLOWED)
+
+    def _offset(self, k: int, first: int, last: int) -> bool:
+        """Whether a constant error explains a span better than a mounting, beyond doubt.
+
+        While a gyro is off by far more than the vehicle turns, whatever turns that axis explains a
+        part of it.
+        """
+        rows = first + np.flatnonzero(self.gain[first:last, k])
+        apart = self.reading[rows] - self.rate[rows]
+        left = np.linalg.norm(apart - np.median(apart, axis=0), axis=1)
+        size = np.linalg.norm(self.rate[rows], axis=1)
+        better = _said(left, size) - _said(self.apart[rows, k], size)
+        return bool(better.sum() > LEAST_GAIN)
 
     def _simplest(self, k: int, first: int, last: int) -> int:
         """Return the simple mounting from which a turn by any angle does not surely differ."""
@@ -231,6 +244,12 @@ class Cells:
     def gained(self, first: int, last: int) -> float:
         """Logarithm of how much better than the identity the last mounting explains a span."""
         return float(self.gain[first:last, -1].sum())
+
+
+def _said(apart: Floats, size: Floats) -> Floats:
+    """Log odds of a distance from what is expected of cells, given the size of their rates."""
+    odds: Floats = -np.log1p((apart / (FIT * np.maximum(size, LEAST_MOTION_RAD_S))) ** 2)
+    return odds
 
 
 def untold_axes(rate: Floats, reading: Floats) -> list[int]:

@@ -175,6 +175,20 @@ def test_another_fault_is_no_mounting(fault: Fault) -> None:
     assert not [f for f in analysis(fault, attitude=False).findings if f.kind == "mounting"]
 
 
+def test_a_bias_of_twice_a_steady_turn_is_no_inverted_axis() -> None:
+    rng = np.random.default_rng(5)
+    rate = 0.3 * rng.standard_normal((400, 3))
+    turning = slice(200, 260)
+    rate[turning] = rng.normal([0.0, 0.5, 0.0], 0.12, (60, 3))
+    reading = rate + 0.01 * rng.standard_normal((400, 3))
+    reading[turning, 1] -= 1.0
+    assert turns(rate, reading) == []
+    inverted = reading.copy()
+    inverted[turning, 1] = -rate[turning, 1]
+    (turn,) = turns(rate, inverted)
+    np.testing.assert_array_equal(turn.matrix, np.diag([1.0, -1.0, 1.0]))
+
+
 @pytest.mark.parametrize("matrix", list(signed_permutations()[1:]))
 def test_each_of_the_47_mountings_is_told_from_the_others(matrix: Any) -> None:
     rng = np.random.default_rng(5)
