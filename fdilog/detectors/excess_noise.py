@@ -40,6 +40,8 @@ NORMAL_MEDIAN = 1.4826
 BLOCK_READINGS = 1_000_000
 # What is usual is kept for so many channels, to be asked again for windows of other lengths.
 MOST_CHANNELS = 32
+# The standard deviation of rounding to steps of one.
+ROUNDING = 12.0**-0.5
 # What is usual is what the quietest quarter of a flight stays below: a fault may last for most of
 # it. The pieces compared are those in which all gyros shake as much, within a factor of
 # two: propellers and the ground make more of a difference than faults do.
@@ -76,21 +78,22 @@ class NoiseDetector:
         factor = config.tolerance.noise_factor
         least = np.radians(config.tolerance.bias_deg_s)
         deviation, own = shown_noise(table)
+        rounding = _rounding(table)
         for channel in range(shape[1]):
             peers = noise_peers(table, channel)
             if not len(peers):
                 continue
             rows = _recorded(table, [channel, *peers])
             spread = partial(_window_sigmas, survey=survey, rows=rows)
-            mine = spread(deviation[rows, channel])
-            others = np.column_stack([spread(deviation[rows, k]) for k in peers])
-            theirs = np.sqrt((others**2).mean(axis=1))
-            alone = spread(own[rows, channel])
+            mine = spread(deviation[rows, channel], least=rounding[channel])
+            others = [spread(deviation[rows, k], least=rounding[k]) for k in peers]
+            theirs = np.sqrt(np.mean(np.square(others), axis=0))
+            alone = spread(own[rows, channel], least=rounding[channel])
             counts = _window_counts(survey, rows)
             logged = _ratio(survey, counts, mine, theirs)
             found = logged.beyond & (mine > least)
             usual = _usual(table, channel)
-            common, loudest = usual.common(np.column_stack([mine, others]))
+            common, loudest = usual.common(np.column_stack([mine, *others]))
             grown = _ratio(survey, counts, alone, usual.of_those(usual.own, common))
             with np.errstate(invalid="ignore", divide="ignore"):
                 relative = mine / common
@@ -183,7 +186,12 @@ def _window_counts(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]
     return np.searchsorted(rows, survey.windows.stop) - np.searchsorted(rows, survey.windows.start)
 
 
-def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64]) -> Floats:
+def _rounding(table: ChannelTable) -> Floats:
+    """Noise that the quantisation of each channel makes, (n_channels,). [rad/s]"""
+    return ROUNDING * np.array([channel.step_rad_s for channel in table.channels])
+
+
+def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64], least: float) -> Floats:
     """Sigma in every window of values given at some samples, about zero, what is far off capped."""
     first = np.searchsorted(rows, survey.windows.start)
     counts = _window_counts(survey, rows)
@@ -193,14 +201,21 @@ def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64]) -> F
         here = np.flatnonzero(counts == count)
         view = np.lib.stride_tricks.sliding_window_view(size, count)
         for block in np.array_split(here, 1 + len(here) * int(count) // BLOCK_READINGS):
-            sigmas[block] = capped_sigma(view[first[block]])
+            sigmas[block] = capped_sigma(view[first[block]], least)
     return sigmas
 
 
-def capped_sigma(size: Floats) -> Floats:
-    """Sigma of readings along the last axis, given their moduli, those beyond `CAP` capped."""
-    usual = NORMAL_MEDIAN * np.median(size, axis=-1, keepdims=True)
-    # At rest most readings may repeat; then the others are noise all the same.
+def capped_sigma(size: Floats, least: float | Floats = 0.0) -> Floats:
+    """Sigma of readings along the last axis, given their moduli, those beyond `CAP` capped.
+
+    Parameters
+    ----------
+    least
+        What sigma is taken for at least to tell what is far off: at rest most readings of a coarse
+        gyro repeat, and their median is zero. Broadcast against the moduli.
+    """
+    usual = np.maximum(NORMAL_MEDIAN * np.median(size, axis=-1, keepdims=True), least)
+    # Where they repeat and no step is known, the others are noise all the same.
     cap = np.where(usual > 0.0, CAP * usual, np.inf)
     sigma: Floats = np.sqrt((np.minimum(size, cap) ** 2).mean(axis=-1))
     return sigma
@@ -229,12 +244,13 @@ class _Usual:
     relative: Floats
 
     @classmethod
-    def of(cls, deviation: Floats, own: Floats) -> _Usual:
+    def of(cls, deviation: Floats, own: Floats, rounding: Floats) -> _Usual:
         """Take it from the deviations of a channel and its peers, (n, k), and its own noise."""
         n = len(own) // FEWEST_SAMPLES
         pieces = np.abs(np.column_stack([deviation, own])[: n * FEWEST_SAMPLES])
         pieces = pieces.reshape(n, FEWEST_SAMPLES, pieces.shape[1])
-        sigma = capped_sigma(np.moveaxis(pieces, 1, 2))
+        least = np.append(rounding, rounding[:1])[:, None]
+        sigma = capped_sigma(np.moveaxis(pieces, 1, 2), least)
         sigma = sigma[(sigma > 0.0).all(axis=1)]
         loudness = np.log(sigma[:, :-1])
         apart = loudness - np.median(loudness, axis=1, keepdims=True)
@@ -303,4 +319,5 @@ def _usual(table: ChannelTable, channel: int) -> _Usual:
     columns = [channel, *noise_peers(table, channel)]
     rows = _recorded(table, columns)
     deviation, own = shown_noise(table)
-    return _Usual.of(deviation[rows][:, columns], own[rows, channel])
+    rounding = _rounding(table)[columns]
+    return _Usual.of(deviation[rows][:, columns], own[rows, channel], rounding)

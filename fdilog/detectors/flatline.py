@@ -32,6 +32,8 @@ LONGEST_STILL_S = 10.0
 # Full scales of MEMS gyros, by their data sheets; trimmed sensitivities move them by a few percent.
 FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 FULL_SCALE_MARGIN = 0.03
+# A turn of the vehicle moves more gyros than one.
+FEWEST_MOVING = 2
 # What moves by fewer steps than this may rest within one step of a coarser gyro.
 MOVING_STEPS = 4.0
 
@@ -139,18 +141,19 @@ def _others_move(
     """Whether a healthy gyro in this channel's place would have moved during the run.
 
     Any channel that senses along its axis says so; without one, all others of its own source must.
-    Motion is what is more than a few steps of this channel, and more than ``least_motion``: at
-    rest, one gyro may rest within a step while another shows its noise.
+    And one channel is not enough where there are more: it may be the one that fails. Motion is what
+    is more than a few steps of this channel, and more than ``least_motion``: at rest, one gyro may
+    rest within a step while another shows its noise.
     """
     along = table.along(channel)
     of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
     of_source[channel] = False
     threshold = max(MOVING_STEPS * table.channels[channel].step_rad_s, least_motion)
-    moving = [
-        _range(table, other, start, stop) > threshold
-        for other in np.flatnonzero(along if along.any() else of_source).tolist()
-    ]
-    return any(moving) if along.any() else bool(moving) and all(moving)
+    moving = np.array(
+        [k != channel and _range(table, k, start, stop) > threshold for k in range(len(along))]
+    )
+    seen = moving[along].any() if along.any() else of_source.any() and moving[of_source].all()
+    return bool(seen) and int(moving.sum()) >= min(FEWEST_MOVING, len(along) - 1)
 
 
 def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:

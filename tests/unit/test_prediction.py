@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -125,3 +127,15 @@ def test_noise_is_compared_as_it_was_logged_and_not_as_interpolation_leaves_it()
     for part in (table.columns([1, 4]), table.between(10.0, 20.0)):
         assert part.deviation_rad_s is not None
         assert part.deviation_rad_s.shape == part.rate_rad_s.shape
+
+
+def test_a_coarse_gyro_that_mostly_repeats_itself_at_rest_is_not_noisy_for_a_short_trip() -> None:
+    rng = np.random.default_rng(5)
+    time_s = np.arange(400.0)
+    body = 8.0 * DEG * rng.standard_normal((400, 3)) * ((time_s >= 200) & (time_s < 212))[:, None]
+    noise = rng.normal(0.0, [0.01, 0.01, 0.01, 0.1, 0.1, 0.1], (400, 6)) * DEG
+    table = table_of(time_s, 0.001 * np.round((np.tile(body, 2) + noise) / 0.001))
+    assert table.channels[0].step_rad_s > 0.0
+    # As when the stamps of the two differ: compared as logged, before scale errors are taken out.
+    table = replace(table, deviation_rad_s=deviations(table))
+    assert judge(table, CONFIG).findings == ()
