@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 FEWEST_PRESENT = 0.5
 # Windows whose spread tells anything, and the degrees of freedom each must have.
 FEWEST_COMPARED, FEWEST_DOF = 30, 5.0
+# Evenly spaced ones of so many windows tell what is typical as well as all of them.
+MOST_LAID = 100
 # Twice the standard error of the spread of half-overlapping windows by their median, times the root
 # of their number.
 SIGMAS_OF_RATIO = 2.8
@@ -234,12 +236,10 @@ class Survey:
         for size in np.unique(sizes[sizes > 0]).tolist():
             view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
             looks[size] = windowed_mean(view[start[sizes == size]].transpose(0, 2, 1))
-        # Windows of one length hold a few samples more or less, those laid to fit any number.
-        alike = [list(looks)] if self.windows.length_s > 0.0 else [[size] for size in looks]
-        for family in alike if looks else []:
-            typical = _middlemost([(size, looks[size]) for size in family], parity)
-            restless = _restless([looks[size] for size in family], parity)
-            for size in family:
+        for alike, family in self._families(looks, residuals):
+            typical = _middlemost(family, parity)
+            restless = _restless(list(family.values()), parity)
+            for size in alike:
                 of_size = np.flatnonzero(sizes == size)
                 first, last = start[of_size], stop[of_size] - 1
                 elapsed = np.maximum(time_s[last] - time_s[first], self.table.period_s)[:, None]
@@ -256,6 +256,17 @@ class Survey:
                     swell=self._swell(residuals, first, size),
                 )
 
+    def _families(
+        self, looks: Mapping[int, WindowedMean], residuals: Floats
+    ) -> Iterator[tuple[list[int], Mapping[int, WindowedMean]]]:
+        """Tell which sizes of windows are held against which windows of the flight."""
+        if self.windows.length_s == 0.0:
+            for size in looks:
+                yield [size], {size: _evenly_laid(residuals, size)}
+        elif looks:
+            # Windows of one length hold a few samples more or less.
+            yield list(looks), looks
+
     def _swell(self, residuals: Floats, first: NDArray[np.int64], size: int) -> Floats:
         """Covariance of the samples in some windows, if they are short."""
         q = residuals.shape[1]
@@ -264,6 +275,21 @@ class Survey:
         view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)[first]
         apart = view - view.mean(axis=2, keepdims=True)
         return np.asarray(apart @ np.swapaxes(apart, 1, 2) / size, np.float64)
+
+
+def _evenly_laid(residuals: Floats, size: int) -> WindowedMean:
+    """Look at the quieter half of windows of so many samples laid evenly over a flight.
+
+    Windows that are laid to fit are held against them; most of a short flight's may hold a part of
+    the fault.
+    """
+    starts = np.arange(0, len(residuals) - size + 1, max(1, size // 2))
+    some = np.unique(np.linspace(0, len(starts) - 1, MOST_LAID).astype(np.int64))
+    view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
+    looks = windowed_mean(view[starts[some]].transpose(0, 2, 1))
+    loudness = np.einsum("wii->w", looks.covariance)
+    quiet = loudness <= np.median(loudness)
+    return WindowedMean(looks.mean[quiet], looks.covariance[quiet], looks.dof[quiet])
 
 
 def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:
@@ -287,12 +313,12 @@ def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:
     return float(max(1.0, ratio * (1.0 - SIGMAS_OF_RATIO / np.sqrt(n))))
 
 
-def _middlemost(family: Sequence[tuple[int, WindowedMean]], parity: Floats) -> Floats:
+def _middlemost(family: Mapping[int, WindowedMean], parity: Floats) -> Floats:
     """Median of the covariances of windows, each times its samples, in the space of the channels.
 
     There it does not depend on the basis of the parity space.
     """
-    known = [size * looks.covariance[looks.dof > 0] for size, looks in family]
+    known = [size * looks.covariance[looks.dof > 0] for size, looks in family.items()]
     covariance = np.concatenate(known) if known else np.zeros((0, len(parity), len(parity)))
     if not len(covariance):
         return np.zeros((len(parity), len(parity)))

@@ -10,8 +10,8 @@ from fdilog.analysis import judge
 from fdilog.config import Config
 from fdilog.finding import Evidence
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut
-from tests.tables import DEG, changed, put, triads
+from fdilog.windows import Survey, cut, spans
+from tests.tables import DEG, changed, put, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity",))
 # Independent noise with which ten seconds know a mean to a deg/s, and twenty to 0.7.
@@ -51,3 +51,19 @@ def test_no_window_laid_to_fit_accuses_a_sound_gyro() -> None:
 def test_quiet_gyros_give_no_hint() -> None:
     table = triads(3)
     assert aligned_windows(table, evidence(table)) is None
+
+
+def test_a_window_laid_to_fit_is_held_against_all_of_its_size_and_not_against_itself() -> None:
+    table = triads(3, seconds=100.0, sigma_deg_s=3.0)
+    quiet = (table.time_s >= 40.0) & (table.time_s < 47.0)
+    rate = table.rate_rad_s.copy()
+    rate[quiet] = triads(3, seconds=100.0, sigma_deg_s=0.3).rate_rad_s[quiet]
+    table = table_of(table.time_s, rate)
+    rows = np.flatnonzero(quiet)
+    laid = spans(table, rows[:1], rows[-1:] + 1)
+    for moments in Survey(table=table, windows=laid, config=Config()).moments:
+        own = moments.parity_mean.covariance[0]
+        assert np.trace(own) < 0.05 * np.trace(moments.typical)
+        usual = (3.0 * DEG) ** 2 / len(rows)
+        # The quieter half of windows, each known to a fifth or so.
+        np.testing.assert_allclose(np.diag(moments.typical), usual, rtol=0.5)
