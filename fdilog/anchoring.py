@@ -30,6 +30,8 @@ GPS_LAGS_S = np.arange(0.0, 0.65, 0.1)
 """A GPS velocity is up to half a second old when it is logged."""
 FIELD = ("MagX", "MagY", "MagZ")
 COMPASS = "MAG"
+LONGEST_SAME_S = 5.0
+"""A compass at rest repeats its last reading for two and a half seconds on recorded flights."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,11 +153,21 @@ def _compass(recording: Recording, attitude: Attitude, edges: Floats, zero_ns: i
     if instance is not None and len(instance):
         first = instance == instance.min()
         values, time_s = values[first], time_s[first]
+    alive = ~_frozen(time_s, values)
+    values, time_s = values[alive], time_s[alive]
     field = _turned(attitude, edges, time_s, values)
     if not np.isfinite(field).any():
         return nothing
     usual = float(np.nanmedian(np.linalg.norm(field, axis=1)))
     return field / usual if usual > 0 else nothing
+
+
+def _frozen(time_s: Floats, values: Floats) -> NDArray[np.bool_]:
+    """Tell which readings (n, k) repeat one for so long that no sensor is behind them, (n,)."""
+    fresh = np.concatenate([[True], (np.diff(values, axis=0) != 0).any(axis=1)])
+    start = np.flatnonzero(fresh)
+    length_s = np.append(time_s[start[1:] - 1], time_s[-1:]) - time_s[start]
+    return np.asarray(length_s[np.cumsum(fresh) - 1] > LONGEST_SAME_S)
 
 
 def _acceleration_by_gps(

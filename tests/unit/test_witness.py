@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis, analyse, analyse_recording
-from fdilog.attitude import from_euler, product
+from fdilog.attitude import from_euler, interpolated, logged_attitude, matrices, product
 from fdilog.config import Config
 from fdilog.faults import Fault
 from fdilog.finding import Finding
@@ -20,6 +20,8 @@ from fdilog.flight import Flight
 from fdilog.recording import Recording, Stream
 from fdilog.simulate import simulate
 from fdilog.sources import assemble
+
+Floats = NDArray[np.float64]
 
 DEG = float(np.radians(1.0))
 # The other detectors corroborate, and take their time.
@@ -101,6 +103,36 @@ def test_yaw_that_no_anchor_shows_leaves_both_suspects() -> None:
     finding = only(analysed(flown(2, "imu1.z").recording()))
     assert finding.suspects == ("imu0.z", "imu1.z")
     assert finding.witness is None
+
+
+def with_compass(recording: Recording, reading: Callable[[Floats], Floats]) -> Recording:
+    """Add a compass at 10 Hz, its field put through a function."""
+    (attitude,) = [s for s in recording.streams if s.origin == "derived"]
+    time_ns = np.arange(attitude.time_ns[0], attitude.time_ns[-1], 100_000_000)
+    q = logged_attitude(attitude.columns)
+    assert q is not None
+    r = matrices(interpolated(attitude.time_ns / 1e9, q, time_ns / 1e9))
+    field = reading(np.round(np.array([200.0, 20.0, 400.0]) @ r))
+    columns = dict(zip(("MagX", "MagY", "MagZ"), field.T, strict=True))
+    compass = Stream(name="MAG", time_ns=time_ns, columns=columns)
+    return replace(recording, streams=(*recording.streams, compass))
+
+
+def test_a_compass_tells_which_gyro_of_the_yaw_is_off() -> None:
+    finding = only(analysed(with_compass(flown(2, "imu1.z").recording(), lambda field: field)))
+    assert finding.suspects == ("imu1.z",)
+    assert "compass" in finding.detail
+
+
+@pytest.mark.parametrize("first_s", [0.0, 20.0])
+def test_a_compass_that_repeats_one_reading_is_no_anchor(first_s: float) -> None:
+    def stuck(field: Floats) -> Floats:
+        first = int(10 * first_s)
+        return np.where(np.arange(len(field))[:, None] < first, field, field[first])
+
+    finding = only(analysed(with_compass(flown(2, "imu1.z").recording(), stuck)))
+    assert finding.suspects == ("imu0.z", "imu1.z")
+    assert "compass" not in finding.detail
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
