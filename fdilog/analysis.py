@@ -337,7 +337,7 @@ def judge(
     testified = with_derived(heard, table)
     if witness is not None:
         heard = testified.columns(compared_channels(testified))
-    sound, calibration = calibrate(heard, config)
+    sound, calibration, compared = _compared(heard, chosen, config, progress)
     calibration = with_notes(calibration, mounted.notes())
     sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
@@ -346,7 +346,6 @@ def judge(
             progress(f"{name}, every sample")
             windows = spans(heard, each, each + 1)
             sampled.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
-    compared = _windowed(sound, chosen, config, progress)
     # An attitude is smoother than any gyro; only gyros tell noise from motion.
     noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
     scaled = [item for item in compared if item.kind == "scale"]
@@ -378,6 +377,24 @@ def judge(
         ),
         calibration=calibration,
     )
+
+
+def _compared(
+    table: ChannelTable,
+    chosen: Sequence[tuple[str, Detector]],
+    config: Config,
+    progress: Callable[[str], None],
+) -> tuple[ChannelTable, tuple[Calibration, ...], list[Evidence]]:
+    """Calibrate a table and compare its channels; once more if the calibration took a fault."""
+    from fdilog.steps import absorbed
+
+    sound, calibration = calibrate(table, config)
+    compared = _windowed(sound, chosen, config, progress)
+    steps = absorbed(table, sound, [item for item in compared if item.kind == "bias"], config)
+    if steps.any():
+        sound, calibration = calibrate(table, config, steps)
+        compared = _windowed(sound, chosen, config, progress)
+    return sound, calibration, compared
 
 
 def _windowed(

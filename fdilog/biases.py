@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from fdilog.accusations import Accusation, Cluster, accusations, spanned
 from fdilog.config import Config
-from fdilog.edges import Shape, best_step
 from fdilog.finding import Evidence, Finding, Size
 from fdilog.geometry import leave_one_out
 from fdilog.isolation import isolate
 from fdilog.noise import windowed_mean
-from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of, widened
+from fdilog.shapes import Fault, disagreement, shaped, shaped_size, size_of
+from fdilog.steps import step_of
 from fdilog.table import ChannelTable
 from fdilog.testimony import Statement
 from fdilog.traces import trace_of
@@ -64,28 +64,7 @@ def bias_findings(
 
 def _fault(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     """Find the span of a fault, who is accused over just that span, and of what shape it is."""
-    step = Shape(kind="bias", start=cluster.start, stop=cluster.stop, gain=0.0, size=0.0)
-    accused = Fault(suspects=cluster.suspects, shape=step, longest_s=cluster.longest_s)
-    fault = replace(accused, shape=_placed_step(table, accused, config) or step)
-    return shaped(table, _tested(table, fault, config), config)
-
-
-def _placed_step(table: ChannelTable, accused: Fault, config: Config) -> Shape | None:
-    """Find the step around some accusations.
-
-    Manoeuvres and vibration may leave in doubt what it is a part of: the region in which it is
-    looked for is widened as long as it reaches to its edges.
-    """
-    found = None
-    for trace in widened(table, accused, accused.longest_s / 2, config):
-        step = best_step(trace.residual, trace.weight())
-        placed = trace.placed(step)
-        if found is not None and (placed.start > found.start or placed.stop < found.stop):
-            break  # a larger fault nearby is another one
-        found = placed
-        if trace.holds(step):
-            break
-    return found
+    return shaped(table, _tested(table, step_of(table, cluster, config), config), config)
 
 
 def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:

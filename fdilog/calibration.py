@@ -54,18 +54,26 @@ class Calibration:
     note: str | None = None
 
 
-def calibrate(table: ChannelTable, config: Config) -> tuple[ChannelTable, tuple[Calibration, ...]]:
+def calibrate(
+    table: ChannelTable, config: Config, steps: Floats | None = None
+) -> tuple[ChannelTable, tuple[Calibration, ...]]:
     """Take out what is in proportion to the rate, block by block, and say what it was.
 
     The regression is Tukey's, on means over one second, so that faults and manoeuvres of a part of
     the flight do not decide it; a normal prior of ``noise.scale_sigma`` on every coefficient keeps
     a flight with little rotation from inventing any.
+
+    Parameters
+    ----------
+    steps : (N, n)
+        Faults that are known already, from which nothing is to be learnt. [rad/s]
     """
     n_channels = len(table.channels)
     error_per_rate = np.zeros((n_channels, 3))
     constant = np.full(n_channels, np.nan)
     vague = np.zeros(3, bool)
-    means, rates = _stretch_means(table)
+    learnt = table if steps is None else replace(table, rate_rad_s=table.rate_rad_s - steps)
+    means, rates = _stretch_means(learnt)
     for block in blocks(table.axes):
         columns = list(block)
         known = np.isfinite(means[:, columns]).all(axis=1) & np.isfinite(rates).all(axis=1)

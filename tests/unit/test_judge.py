@@ -41,6 +41,19 @@ def test_a_bias_among_three_is_isolated_with_its_span_and_size() -> None:
     assert "difference" in finding.detectors
 
 
+def test_a_bias_that_lasts_through_a_turn_is_not_taken_for_misalignment() -> None:
+    # In the only fast turn of the flight three deg/s look like a misalignment of 1.7 deg.
+    table = triads(3, seconds=120.0)
+    turning = (table.time_s > 45.0) & (table.time_s < 67.0)
+    rate = table.rate_rad_s.copy()
+    rate[turning, 2::3] += 100.0 * DEG
+    flown = changed(table_of(table.time_s, rate), "imu1.x", 40.0, 70.0, add=3.0 * DEG)
+    finding = only(judge(flown, CONFIG).findings)
+    assert finding.suspects == ("imu1.x",)
+    assert finding.start_s == pytest.approx(40.0, abs=0.5)
+    assert finding.end_s == pytest.approx(70.0, abs=0.5)
+
+
 @pytest.mark.parametrize("size_deg_s", [5.0, 50.0, 1000.0])
 def test_a_large_fault_accuses_nobody_else(size_deg_s: float) -> None:
     table = changed(triads(3), "imu2.x", 20.0, 40.0, add=size_deg_s * DEG)
