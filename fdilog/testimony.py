@@ -30,6 +30,13 @@ ANCHOR_CONFIDENCE = 0.99
 few, not thousands; and they are not the only lock."""
 ANCHOR_SIGMAS = 2.576
 """Of the normal distribution, at that confidence."""
+MOST_DOUBT_RAD = np.pi / 2.0
+"""Anchors that leave open whether a direction turned by a right angle meanwhile tell nothing: how
+directions move was taken as linear."""
+SURE_ODDS = 100.0
+"""How much likelier than of any other suspect it must be of the one named, at that confidence."""
+TOLERANCE_SIGMAS = 3.0
+"""What a healthy gyro may be off by is three times what it usually is."""
 
 LONG_S = 20.0
 """A filter that is corrected with a time constant of a minute and a half or less has come off the
@@ -54,7 +61,8 @@ class Testimony:
     drift
         How wrong the attitude would be that this gyro alone would have given.
     anchored, anchored_half_width
-        The gyro's error against the anchors. [rad/s]
+        The gyro's error against the anchors, and the half-width of its interval; infinite if they
+        tell nothing. [rad/s]
     tolerance
         What errors are held against. [rad/s]
     thirds
@@ -87,8 +95,9 @@ class Testimony:
 
     def borne_out(self, step: float, odds: float) -> bool:
         """Whether anchors make it so much likelier that it is off by a step than not at all."""
-        sigma = max(self.anchored_half_width, 1e-12) / ANCHOR_SIGMAS
-        return step * (2.0 * self.anchored - step) / (2.0 * sigma**2) >= math.log(odds)
+        anchors = self.anchored_half_width / ANCHOR_SIGMAS
+        doubt = math.hypot(anchors, self.tolerance / TOLERANCE_SIGMAS)
+        return step * (2.0 * self.anchored - step) / (2.0 * doubt**2) > math.log(odds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +135,25 @@ def hear(
     failed = [channel for channel, said in heard.items() if said.failed]
     furthest = max(heard, key=lambda channel: abs(heard[channel].error))
     words = _words(table, heard)
-    if failed == [furthest] or _stepped(table, heard, furthest, span):
+    if _surely(heard, furthest) or _stepped(table, heard, furthest, span):
         return Statement(named=furthest, detail=words)
     if not failed and all(said.drift.lost for said in heard.values()):
         words = f"the attitude is lost, and tells nothing; {words}"
     return Statement(named=None, detail=words)
+
+
+def _surely(heard: Mapping[int, Testimony], named: int) -> bool:
+    """Tell whether the anchors name a gyro.
+
+    Of one alone they must show that it is off; of several of which one is, which of them it is.
+    """
+    said = heard[named]
+    others = [other for channel, other in heard.items() if channel != named]
+    if not others:
+        return said.failed
+    return not any(other.failed for other in others) and all(
+        said.borne_out(said.anchored - other.anchored, SURE_ODDS) for other in others
+    )
 
 
 def _stepped(
@@ -174,12 +197,13 @@ def testimony(
     usual = float(np.median(apart[outside])) if outside.sum() >= len(rows) / 2 else 0.0
     first, middle, last = (float(apart[part].mean()) - usual for part in np.array_split(rows, 3))
     bias = np.radians(config.tolerance.bias_deg_s)
+    doubt = drift.half_width(axis)
     return Testimony(
         error=float(looks.mean[0, 0]),
         half_width=float(looks.half_width(np.ones(1), config.windows.confidence)[0]),
         drift=drift,
         anchored=float(axis @ drift.error_rad_s),
-        anchored_half_width=drift.half_width(axis),
+        anchored_half_width=doubt if doubt * (end_s - start_s) < MOST_DOUBT_RAD else math.inf,
         tolerance=float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean()))),
         thirds=(first, middle, last),
     )
@@ -210,4 +234,6 @@ def _words(table: ChannelTable, heard: dict[int, Testimony]) -> str:
 
 
 def _size(error: float, half_width: float) -> str:
+    if not math.isfinite(half_width):
+        return "unknown"
     return f"{np.degrees(error):+.2f} ± {np.degrees(half_width):.2f}"

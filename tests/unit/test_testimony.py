@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from fdilog import testimony
 from fdilog.anchors import Drift
-from tests.tables import DEG
+from fdilog.config import Config
+from fdilog.witness import Witness
+from tests.tables import DEG, triads
 
 NO_DRIFT = Drift(
     error_rad_s=np.zeros(3),
@@ -19,14 +22,16 @@ NO_DRIFT = Drift(
 )
 
 
-def said(*thirds_deg_s: float, anchored_deg_s: float = 0.0) -> testimony.Testimony:
+def said(
+    *thirds_deg_s: float, anchored_deg_s: float = 0.0, doubt_deg_s: float = 3.0
+) -> testimony.Testimony:
     first, middle, last = (size * DEG for size in thirds_deg_s)
     return testimony.Testimony(
         error=(first + middle + last) / 3.0,
         half_width=0.1 * DEG,
         drift=NO_DRIFT,
         anchored=anchored_deg_s * DEG,
-        anchored_half_width=3.0 * DEG,
+        anchored_half_width=doubt_deg_s * DEG,
         tolerance=1.0 * DEG,
         thirds=(first, middle, last),
     )
@@ -64,3 +69,44 @@ def test_a_single_gyro_needs_surer_anchors() -> None:
     vague = said(3.0, 3.0, 3.0, anchored_deg_s=2.0)
     assert not vague.borne_out(3.0 * DEG, testimony.LEAST_ODDS)
     assert replace(vague, anchored_half_width=1.5 * DEG).borne_out(3.0 * DEG, testimony.LEAST_ODDS)
+
+
+def test_anchors_that_tell_nothing_bear_nothing_out() -> None:
+    assert not said(3.0, 3.0, 3.0, doubt_deg_s=np.inf).borne_out(3.0 * DEG, 1.0)
+
+
+def named(monkeypatch: pytest.MonkeyPatch, *each: testimony.Testimony) -> int | None:
+    """Whom the attitude names if it says this of each of some gyros, over ten seconds."""
+    table = triads(2, seconds=10.0)
+    monkeypatch.setattr(testimony, "testimony", lambda _w, _t, channel, _s, _c: each[channel // 3])
+    suspects = range(0, 3 * len(each), 3)
+    whole = (0, len(table.time_s))
+    return testimony.hear(cast("Witness", None), table, suspects, whole, Config()).named
+
+
+def test_anchors_choose_between_two_gyros_though_both_are_near_the_tolerance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    off = said(2.7, 1.0, 2.6, anchored_deg_s=2.0, doubt_deg_s=1.0)
+    sound = said(-0.3, -2.0, -0.4, anchored_deg_s=-1.0, doubt_deg_s=1.0)
+    assert named(monkeypatch, sound, off) == 3
+    assert named(monkeypatch, off, sound) == 0
+
+
+def test_anchors_that_leave_both_possible_name_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    # One is a hair beyond the tolerance and the other a hair within.
+    off = said(-0.8, 2.5, 4.0, anchored_deg_s=27.6, doubt_deg_s=26.4)
+    sound = said(2.2, 5.5, 7.0, anchored_deg_s=24.4, doubt_deg_s=26.4)
+    assert off.failed
+    assert named(monkeypatch, sound, off) is None
+
+
+def test_a_gyro_is_not_named_against_the_attitude_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    off = said(0.5, 0.3, 0.1, anchored_deg_s=3.0, doubt_deg_s=0.5)
+    sound = said(-2.5, -2.7, -2.9, anchored_deg_s=0.0, doubt_deg_s=0.5)
+    assert named(monkeypatch, off, sound) is None
+
+
+def test_a_gyro_alone_must_be_beyond_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert named(monkeypatch, said(3.0, 1.0, 3.0, anchored_deg_s=2.0, doubt_deg_s=1.1)) is None
+    assert named(monkeypatch, said(3.0, 1.0, 3.0, anchored_deg_s=2.0, doubt_deg_s=0.9)) == 0

@@ -103,6 +103,7 @@ def test_yaw_that_no_anchor_shows_leaves_both_suspects() -> None:
     finding = only(analysed(flown(2, "imu1.z").recording()))
     assert finding.suspects == ("imu0.z", "imu1.z")
     assert finding.witness is None
+    assert "imu1.z unknown" in finding.detail
 
 
 def with_compass(recording: Recording, reading: Callable[[Floats], Floats]) -> Recording:
