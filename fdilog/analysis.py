@@ -385,12 +385,13 @@ def _compared(
     config: Config,
     progress: Callable[[str], None],
 ) -> tuple[ChannelTable, tuple[Calibration, ...], list[Evidence]]:
-    """Calibrate a table and compare its channels; once more if the calibration took a fault."""
-    from fdilog.steps import absorbed
+    """Calibrate a table and compare its channels; where there are faults, calibrate without."""
+    from fdilog.steps import steps_as_logged
 
     sound, calibration = calibrate(table, config)
     compared = _windowed(sound, chosen, config, progress)
-    steps = absorbed(table, sound, [item for item in compared if item.kind == "bias"], config)
+    biased = [item for item in compared if item.kind == "bias"]
+    steps = steps_as_logged(table, sound, biased, config)
     if steps.any():
         sound, calibration = calibrate(table, config, steps)
         compared = _windowed(sound, chosen, config, progress)

@@ -1,4 +1,4 @@
-"""The step that some accusations speak of, and steps that a calibration has taken for its own."""
+"""The step that some accusations speak of, as calibrated and as logged."""
 
 from __future__ import annotations
 
@@ -15,10 +15,6 @@ from fdilog.finding import Evidence
 from fdilog.shapes import Fault, widened
 from fdilog.table import ChannelTable
 
-MORE = 1.5
-"""What a calibration took a third of explains half as much again as what it left; misalignment that
-it took rightly changes that by less."""
-
 
 def step_of(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     """Find the step that some accusations speak of."""
@@ -29,30 +25,30 @@ def step_of(table: ChannelTable, cluster: Cluster, config: Config) -> Fault:
     )
 
 
-def absorbed(
+def steps_as_logged(
     table: ChannelTable, calibrated: ChannelTable, evidence: Sequence[Evidence], config: Config
 ) -> NDArray[np.float64]:
-    """Find faults of which the calibration took a part for misalignment or scale.
+    """Find the steps that accusations speak of in the readings as logged, to calibrate without.
 
     A bias that lasts while the vehicle turns steadily looks as if it were in proportion to the
-    rate. What is left of it before and after the turn is accused, and in the readings as logged
-    that is a part of a step that explains far more.
+    rate. The calibration takes a part of it, and leaves what is before and after the turn, or an
+    error in turns without the bias. In the readings as logged it is one step. A step of which what
+    was left is no part is another matter.
 
     Returns
     -------
     steps : (N, n)
-        Such steps, as large as what was left of them, in one of the suspects. [rad/s]
+        As large as what the calibration left of them, in one of the suspects. [rad/s]
     """
     steps = np.zeros(table.rate_rad_s.shape)
     leading = [item for item in evidence if item.detector == evidence[0].detector]
     accused = [accusation for item in leading for accusation in accusations(item)]
     longest_s = max(config.windows.lengths_s)
     faults = spanned(table.time_s, accused, lambda cluster: step_of(calibrated, cluster, config))
+    # Where two are a part of one step, what explains the most tells its size.
     for left in sorted(faults, key=lambda fault: fault.shape.gain):
         whole = _placed_step(table, left, longest_s, config)
-        if whole is None or whole.start > left.start or whole.stop < left.stop:
-            continue
-        if whole.gain > MORE * left.shape.gain > 0.0:
+        if whole is not None and whole.start <= left.start and whole.stop >= left.stop:
             steps[whole.start : whole.stop, min(left.suspects)] = left.shape.size
     return steps
 
