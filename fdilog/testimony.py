@@ -33,8 +33,9 @@ ANCHOR_SIGMAS = 2.576
 MOST_DOUBT_RAD = np.pi / 2.0
 """Anchors that leave open whether a direction turned by a right angle meanwhile tell nothing: how
 directions move was taken as linear."""
-SURE_ODDS = 100.0
-"""How much likelier than of any other suspect it must be of the one named, at that confidence."""
+SURE_ODDS = 1000.0
+"""How much likelier than of any other suspect it must be of the one named: with an attitude that
+followed the failed gyro, anchors are the only lock."""
 TOLERANCE_SIGMAS = 3.0
 """What a healthy gyro may be off by is three times what it usually is."""
 

@@ -84,13 +84,19 @@ def named(monkeypatch: pytest.MonkeyPatch, *each: testimony.Testimony) -> int | 
     return testimony.hear(cast("Witness", None), table, suspects, whole, Config()).named
 
 
-def test_anchors_choose_between_two_gyros_though_both_are_near_the_tolerance(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    off = said(2.7, 1.0, 2.6, anchored_deg_s=2.0, doubt_deg_s=1.0)
-    sound = said(-0.3, -2.0, -0.4, anchored_deg_s=-1.0, doubt_deg_s=1.0)
+def test_anchors_choose_which_of_two_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    off = said(2.7, 1.0, 2.6, anchored_deg_s=2.2, doubt_deg_s=1.0)
+    sound = said(-0.3, -2.0, -0.4, anchored_deg_s=-0.8, doubt_deg_s=1.0)
     assert named(monkeypatch, sound, off) == 3
     assert named(monkeypatch, off, sound) == 0
+
+
+def test_anchors_halfway_between_two_name_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    off = said(2.7, 1.0, 2.6, anchored_deg_s=1.7, doubt_deg_s=0.5)
+    sound = said(-0.3, -2.0, -0.4, anchored_deg_s=-1.3, doubt_deg_s=0.5)
+    assert off.failed
+    assert not sound.failed
+    assert named(monkeypatch, sound, off) is None
 
 
 def test_anchors_that_leave_both_possible_name_neither(monkeypatch: pytest.MonkeyPatch) -> None:
