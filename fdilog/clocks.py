@@ -210,7 +210,10 @@ def nearest_samples(time_ns: Times, base: TimeBase) -> tuple[Times, NDArray[np.b
     near : (n_samples,) bool
         Whether it lies within 0.6 of a base period.
     """
-    upper = _after(time_ns, base)
+    return _nearest(time_ns, base, _after(time_ns, base))
+
+
+def _nearest(time_ns: Times, base: TimeBase, upper: Times) -> tuple[Times, NDArray[np.bool_]]:
     lower = np.maximum(upper - 1, 0)
     to_lower = np.abs(base.time_ns - time_ns[lower])
     to_upper = np.abs(time_ns[upper] - base.time_ns)
@@ -246,7 +249,7 @@ def place(
     upper = _after(time_ns, base)
     lower = np.maximum(upper - 1, 0)
     to_lower = base.time_ns - time_ns[lower]
-    nearest, near = nearest_samples(time_ns, base)
+    nearest, near = _nearest(time_ns, base, upper)
     step = np.maximum(time_ns[upper] - time_ns[lower], 1)
     fraction = to_lower / step
     # Interpolate only across one ordinary step of this source, and never beyond its ends.

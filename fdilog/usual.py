@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fdilog.config import Config
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut, spans
+from fdilog.windows import Survey, cut, evenly_spaced, spans
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def usual(table: ChannelTable) -> Usual:
     offset, sigma = np.zeros(len(table.channels)), np.ones(len(table.channels))
     config = Config().replace("windows", lengths_s=(WINDOW_S,))
     for windows in cut(table, config):
-        some = np.unique(np.linspace(0, len(windows) - 1, MOST_WINDOWS).astype(np.int64))
+        some = evenly_spaced(len(windows), MOST_WINDOWS)
         chosen = spans(table, windows.start[some], windows.stop[some], WINDOW_S)
         survey = Survey(table=table, windows=chosen, config=config)
         done: set[int] = set()

@@ -234,8 +234,7 @@ class Survey:
         sizes = stop - start
         looks: dict[int, WindowedMean] = {}
         for size in np.unique(sizes[sizes > 0]).tolist():
-            view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
-            looks[size] = windowed_mean(view[start[sizes == size]].transpose(0, 2, 1))
+            looks[size] = _looks(residuals, start[sizes == size], size)
         for alike, family in self._families(looks, residuals):
             typical = _middlemost(family, parity)
             restless = _restless(list(family.values()), parity)
@@ -277,6 +276,17 @@ class Survey:
         return np.asarray(apart @ np.swapaxes(apart, 1, 2) / size, np.float64)
 
 
+def evenly_spaced(n: int, most: int) -> NDArray[np.int64]:
+    """Choose so many of n windows, or fewer, from the first to the last."""
+    return np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+
+
+def _looks(residuals: Floats, first: NDArray[np.int64], size: int) -> WindowedMean:
+    """Look at windows of so many samples."""
+    view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
+    return windowed_mean(view[first].transpose(0, 2, 1))
+
+
 def _evenly_laid(residuals: Floats, size: int) -> WindowedMean:
     """Look at the quieter half of windows of so many samples laid evenly over a flight.
 
@@ -284,9 +294,7 @@ def _evenly_laid(residuals: Floats, size: int) -> WindowedMean:
     the fault.
     """
     starts = np.arange(0, len(residuals) - size + 1, max(1, size // 2))
-    some = np.unique(np.linspace(0, len(starts) - 1, MOST_LAID).astype(np.int64))
-    view = np.lib.stride_tricks.sliding_window_view(residuals, size, axis=0)
-    looks = windowed_mean(view[starts[some]].transpose(0, 2, 1))
+    looks = _looks(residuals, starts[evenly_spaced(len(starts), MOST_LAID)], size)
     loudness = np.einsum("wii->w", looks.covariance)
     quiet = loudness <= np.median(loudness)
     return WindowedMean(looks.mean[quiet], looks.covariance[quiet], looks.dof[quiet])

@@ -149,11 +149,18 @@ def _others_move(
     of_source = np.array([c.source == table.channels[channel].source for c in table.channels])
     of_source[channel] = False
     threshold = max(MOVING_STEPS * table.channels[channel].step_rad_s, least_motion)
-    moving = np.array(
-        [k != channel and _range(table, k, start, stop) > threshold for k in range(len(along))]
-    )
-    seen = moving[along].any() if along.any() else of_source.any() and moving[of_source].all()
-    return bool(seen) and int(moving.sum()) >= min(FEWEST_MOVING, len(along) - 1)
+
+    def moves(k: int) -> bool:
+        return _range(table, k, start, stop) > threshold
+
+    axis = along if along.any() else of_source
+    moving = [moves(k) for k in np.flatnonzero(axis).tolist()]
+    seen = any(moving) if along.any() else bool(moving) and all(moving)
+    if not seen or sum(moving) >= FEWEST_MOVING:
+        return seen
+    axis[channel] = True
+    others = np.flatnonzero(~axis).tolist()
+    return not others or any(moves(k) for k in others)
 
 
 def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:
