@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 STAMP_NS = 1000
 """Stamps are whole microseconds, as autopilots write them."""
-FIRMWARE = "fdilog simulator V1.0"
+FIRMWARE = "fdilog simulator V1.1"
 """Its number goes up when the same arguments begin to give another flight."""
 
 

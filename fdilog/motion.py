@@ -35,8 +35,10 @@ MOTOR_SPREAD = 0.08
 MOTOR_SHARE = 0.5
 """Part of the vibration's power that is in the motors' tones."""
 THROTTLE_SWING = 0.02
-"""How far the motors' speed wanders, relative; it keeps aliased tones from standing still."""
-THROTTLE_HZ = 0.23
+"""How far the motors' speed wanders, relative: the root of the sum of its squared tones."""
+THROTTLE_HZ = np.array([0.017, 0.043, 0.11, 0.23, 0.57])
+"""From trim to gusts. A throttle that wanders as one sine leaves each tone of the vibration a line
+of its own (a carrier), and slow logging folds one of many to almost 0 Hz: a bias for minutes."""
 ROWS_AT_ONCE = 16_384
 """Keeps the table of tones at some 15 MB however long the flight."""
 
@@ -192,7 +194,8 @@ class Motion:
             t = time_s[rows]
             # A wandering throttle is a wandering clock for every tone that hangs on it.
             omega = 2 * np.pi * THROTTLE_HZ
-            warped = t - THROTTLE_SWING * np.cos(omega * t) / omega
+            swing = THROTTLE_SWING / np.sqrt(len(omega))
+            warped = t - np.cos(np.outer(t, omega) + np.arange(len(omega))) @ (swing / omega)
             phase = np.outer(warped, 2 * np.pi * self.shake_hz)
             tones = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
             felt[rows] = self.envelope(t)[0][:, None] * (tones @ amplitudes)
