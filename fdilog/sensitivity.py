@@ -302,16 +302,17 @@ def _answers(
     if jobs == 1 or len(tasks) == 1:
         yield from (search(flight, task) for task in tasks)
         return
-    with ProcessPoolExecutor(min(jobs, len(tasks)), initializer=_begin, initargs=(flight,)) as pool:
-        try:
-            yield from pool.map(_search_here, tasks)
-        except BrokenProcessPool:
-            raise FdilogError(
-                f"{flight.recording.path}: a worker process was ended from outside, perhaps for"
-                " want of memory; try -j 1"
-            ) from None
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), initializer=_begin, initargs=(flight,))
+    try:
+        yield from pool.map(_search_here, tasks)
+    except BrokenProcessPool:
+        raise FdilogError(
+            f"{flight.recording.path}: a worker process was ended from outside, perhaps for"
+            " want of memory; try -j 1"
+        ) from None
+    finally:
+        # Not waited for, its thread can meet the end of the interpreter with a closed pipe.
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 _here: list[Flight] = []
