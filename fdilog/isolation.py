@@ -36,6 +36,9 @@ WANDER = 0.5
 # were looked at: of an hour of white noise, the largest mean of all spans of five seconds to a
 # minute is beyond 5 sigma as often as if windows advanced by this. [s]
 LAID_S = 0.07
+# A tone that stands still is off by its amplitude at most, and that in the window itself it cannot
+# be seen: its root mean square is told by the other windows.
+PEAK = np.sqrt(2.0)
 SECONDS_PER_HOUR = 3600.0
 
 
@@ -222,8 +225,11 @@ def compare(
     usual = np.einsum("iq,qr,ir->i", of_parity, moments.typical, of_parity)
     half_width = _half_width(looks, own, config.windows.confidence)
     doubt = moments.restless * _half_width(looks, np.maximum(own, usual), family_confidence)
-    swell = np.einsum("iq,wqr,ir->wi", of_parity, moments.swell, of_parity)
-    doubt = np.maximum(doubt, np.sqrt(np.maximum(swell, 0.0)))
+    swell = np.maximum(
+        np.einsum("iq,wqr,ir->wi", of_parity, moments.swell, of_parity),
+        np.einsum("iq,qr,ir->i", of_parity, moments.usual_swell, of_parity),
+    )
+    doubt = np.maximum(doubt, PEAK * np.sqrt(np.maximum(swell, 0.0)))
     predicted = moments.mean - error
     tolerance = np.sqrt(
         np.radians(config.tolerance.bias_deg_s) ** 2

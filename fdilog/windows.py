@@ -113,9 +113,10 @@ class Moments:
     restless
         By how much more than they are known to the means of all windows of this length differ from
         one another, at least; one or more. [1]
-    swell : (n, q, q)
-        Covariance of a sample of the parity vector in windows shorter than `SWELL_S`, else zero:
-        what of it is vibration near the logging rate may stand still for as long. [rad^2/s^2]
+    swell, usual_swell : (n, q, q), (q, q)
+        Covariance of a sample of the parity vector in windows shorter than `SWELL_S`, and in the
+        middlemost of them; else zero. What of it is vibration near the logging rate may stand still
+        for as long. [rad^2/s^2]
     """
 
     windows: NDArray[np.int64]
@@ -127,6 +128,7 @@ class Moments:
     typical: Floats
     restless: float
     swell: Floats
+    usual_swell: Floats
 
     def at(self, rows: NDArray[np.int64]) -> Moments:
         """Return the moments of some of these windows."""
@@ -235,6 +237,10 @@ class Survey:
         looks: dict[int, WindowedMean] = {}
         for size in np.unique(sizes[sizes > 0]).tolist():
             looks[size] = _looks(residuals, start[sizes == size], size)
+        swell = np.zeros((len(here), len(parity), len(parity)))
+        for size in looks:
+            swell[sizes == size] = self._swell(residuals, start[sizes == size], size)
+        usual_swell = _median(swell[sizes > 0], parity)
         for alike, family in self._families(looks, residuals):
             typical = _middlemost(family, parity)
             restless = _restless(list(family.values()), parity)
@@ -252,7 +258,8 @@ class Survey:
                     parity_mean=looks[size],
                     typical=typical / size,
                     restless=restless,
-                    swell=self._swell(residuals, first, size),
+                    swell=swell[of_size],
+                    usual_swell=usual_swell,
                 )
 
     def _families(
@@ -322,14 +329,18 @@ def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:
 
 
 def _middlemost(family: Mapping[int, WindowedMean], parity: Floats) -> Floats:
-    """Median of the covariances of windows, each times its samples, in the space of the channels.
+    """Median of the covariances of windows, each times its samples."""
+    known = [size * looks.covariance[looks.dof > 0] for size, looks in family.items()]
+    empty = np.zeros((0, len(parity), len(parity)))
+    return _median(np.concatenate([empty, *known]), parity)
+
+
+def _median(covariance: Floats, parity: Floats) -> Floats:
+    """Median of covariances (n, q, q) in the space of the channels.
 
     There it does not depend on the basis of the parity space.
     """
-    known = [size * looks.covariance[looks.dof > 0] for size, looks in family.items()]
-    covariance = np.concatenate(known) if known else np.zeros((0, len(parity), len(parity)))
     if not len(covariance):
         return np.zeros((len(parity), len(parity)))
     median = np.median(parity.T @ covariance @ parity, axis=0)
-    typical: Floats = parity @ median @ parity.T
-    return typical
+    return np.asarray(parity @ median @ parity.T, np.float64)
