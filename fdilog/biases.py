@@ -202,12 +202,14 @@ def _within(finding: Finding, config: Config) -> bool:
     """Whether what is measured of a bias in the readings as logged is within tolerance after all.
 
     It was beyond it in the readings less what is in proportion to the rate, and so by what was
-    fitted of that. The size of a suspect among several is that of the pair's difference in part.
+    fitted of that. The size of a suspect among several is that of the pair's difference in part:
+    then the whole interval must be within.
     """
     size = finding.size
-    if finding.kind != "bias" or size is None or not finding.isolated:
+    if finding.kind != "bias" or size is None:
         return False
-    return bool(abs(size.estimate) <= np.radians(config.tolerance.bias_deg_s))
+    largest = abs(size.estimate) if finding.isolated else max(-size.low, size.high)
+    return bool(largest <= np.radians(config.tolerance.bias_deg_s))
 
 
 def _testified(names: tuple[str, ...], said: Statement) -> str:

@@ -26,9 +26,15 @@ Floats = NDArray[np.float64]
 STRETCH_S = 1.0
 # Fewer stretches than this do not tell four unknowns from a fault.
 FEWEST_STRETCHES = 20
+# Of its usual part of the samples a channel must be there for so much.
+PRESENT = 0.9
 # Tukey's constant: 95 % efficient for normal noise, no influence of what is far off.
 TUKEY = 4.685
 ROUNDS = 20
+# Of an error of a hundred times what healthy gyros are off by, a misalignment of half a degree
+# makes one on another axis. From so much on the middlemost source tells the rate. [rad/s]
+FAR = float(np.radians(10.0))
+FEWEST_SOURCES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,14 +110,26 @@ def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
     filled = np.where(table.valid, table.rate_rad_s, 0.0)
     count = np.add.reduceat(table.valid.astype(float), start, axis=0)
     length = np.diff(np.append(start, len(which)))[:, None]
-    full = count > 0.9 * length
+    share = count / length
+    # A slower source is there at some of the samples only, and so is one whose stamps jitter.
+    usual = np.array([np.median(own[own > 0.0]) if own.any() else 0.0 for own in share.T])
+    full = (share > 0.0) & (share >= PRESENT * usual)
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.where(full, np.add.reduceat(filled, start, axis=0) / count, np.nan)
-    complete = np.isfinite(means).all(axis=0 if not len(means) else 1)
-    rates = np.full((len(means), 3), np.nan)
-    if np.linalg.matrix_rank(table.axes) == 3:
-        rates[complete] = means[complete] @ np.linalg.pinv(table.axes).T
-    return means, rates
+    return means, _least_squares(means, np.isfinite(means), table.axes)
+
+
+def _least_squares(readings: Floats, valid: NDArray[np.bool_], axes: Floats) -> Floats:
+    """Body rates by least squares from the channels recorded, (n, 3); NaN if they are too few."""
+    rates = np.full((len(readings), 3), np.nan)
+    whole = valid.all(axis=1)
+    for pattern in [np.ones(len(axes), bool), *np.unique(valid[~whole], axis=0)]:
+        if np.linalg.matrix_rank(axes[pattern]) == 3:
+            rows = np.flatnonzero(whole if pattern.all() else (valid == pattern).all(axis=1))
+            rates[rows] = readings[np.ix_(rows, np.flatnonzero(pattern))] @ (
+                np.linalg.pinv(axes[pattern]).T
+            )
+    return rates
 
 
 def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, NDArray[np.bool_]]:
@@ -175,7 +193,11 @@ def _within_tolerance(table: ChannelTable, error_per_rate: Floats, config: Confi
 
 
 def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
-    """Subtract ``M w`` with w the least-squares rate of the channels recorded at each instant."""
+    """Subtract ``M w`` with w the least-squares rate of the channels recorded at each instant.
+
+    Where one of them is far off, w is that of the middlemost source: times a misalignment, the
+    error would come up on the other axes.
+    """
     if not error_per_rate.any():
         return table
     complete = table.valid.all(axis=1)
@@ -186,8 +208,26 @@ def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
         rates[rows] = (
             filled[np.ix_(rows, np.flatnonzero(pattern))] @ np.linalg.pinv(table.axes[pattern]).T
         )
+    apart = np.where(table.valid, np.abs(filled - rates @ table.axes.T), 0.0)
+    far = np.flatnonzero((apart > FAR).any(axis=1))
+    rates[far] = _middlemost(table, far, rates[far])
     rate = table.rate_rad_s - rates @ error_per_rate.T
     return replace(table, rate_rad_s=rate)
+
+
+def _middlemost(table: ChannelTable, rows: NDArray[np.int64], otherwise: Floats) -> Floats:
+    """Median of what the sources say of the body rate, (n, 3), where there are three of them."""
+    told = []
+    for source in dict.fromkeys(channel.source for channel in table.channels):
+        columns = [k for k, channel in enumerate(table.channels) if channel.source == source]
+        axes = table.axes[columns]
+        if np.linalg.matrix_rank(axes) == 3:
+            told.append(table.rate_rad_s[rows][:, columns] @ np.linalg.pinv(axes).T)
+    rates = otherwise.copy()
+    if len(told) >= FEWEST_SOURCES:
+        enough = np.isfinite(told).all(axis=2).sum(axis=0) >= FEWEST_SOURCES
+        rates[enough] = np.nanmedian(np.array(told)[:, enough], axis=0)
+    return rates
 
 
 def _described(

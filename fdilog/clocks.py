@@ -23,6 +23,13 @@ HOLE_PERIODS = 5.0
 SAME_RATE = 1.01
 # So near to an instant a source must have been sampled to be read there: half a period, and jitter
 NEAR = 0.6
+# Between two samples further apart than this nothing is interpolated: one lost record is bridged.
+LONGEST_STEP = 2.5
+# A sample is taken as it is for an instant this near: in so much of a period little turns.
+AT_ONCE = 0.1
+# Records were held up and stamped late where they follow a pause of so many periods with less than
+# this one between them, as long as that is the exception and not how the source is logged.
+PAUSE, HELD_UP, EXCEPTION = 1.5, 0.5, 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,6 +45,9 @@ class CleanStamps:
     repeated, misplaced
         How many records were dropped because their stamp repeats the one before, or is out of
         order.
+    late
+        How many were dropped because they had been held up: after a pause, several follow each
+        other faster than they can have been sampled. The last of them stays.
     restarts
         Where the clock jumped back and went on from there (a reboot): the last stamp before, as in
         ``time_ns``, and by how much it jumped. [ns]
@@ -47,6 +57,7 @@ class CleanStamps:
     keep: NDArray[np.int64]
     repeated: int
     misplaced: int
+    late: int
     restarts: tuple[tuple[int, int], ...]
 
 
@@ -83,15 +94,17 @@ def _joined(
     time: Times, parts: list[NDArray[np.int64]], misplaced: int, shifts: list[int]
 ) -> CleanStamps:
     keeps, times, restarts = [], [], []
-    repeated = 0
+    repeated = late = 0
     misplaced += sum(len(part) for part in parts[len(shifts) :])
     for k, part in enumerate(parts[: len(shifts)]):
         stretch = time[part]
         fresh = np.ones(len(part), bool)
         fresh[1:] = stretch[1:] > stretch[:-1]
         repeated += int(len(part) - fresh.sum())
-        keeps.append(part[fresh])
-        times.append(stretch[fresh] + shifts[k])
+        prompt = ~_held_up(stretch[fresh])
+        late += int(len(prompt) - prompt.sum())
+        keeps.append(part[fresh][prompt])
+        times.append(stretch[fresh][prompt] + shifts[k])
         if k:
             last = int(time[parts[k - 1][-1]])
             restarts.append((last + shifts[k - 1], last - int(stretch[0])))
@@ -101,8 +114,25 @@ def _joined(
         keep=np.concatenate(keeps) if keeps else nothing,
         repeated=repeated,
         misplaced=misplaced,
+        late=late,
         restarts=tuple(restarts),
     )
+
+
+def _held_up(time: Times) -> NDArray[np.bool_]:
+    """Tell which records are stamped late: a pause, then a burst, the last of which is prompt."""
+    late = np.zeros(len(time), bool)
+    steps = np.diff(time)
+    if len(steps) < 2:
+        return late
+    period = np.median(steps)
+    short = steps < HELD_UP * period
+    if short.mean() > EXCEPTION:
+        return late
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], short, [False]]).astype(np.int8)))
+    for first, last in edges.reshape(-1, 2).tolist():
+        late[first:last] = first > 0 and steps[first - 1] > PAUSE * period
+    return late
 
 
 def _pieces(time: Times) -> tuple[list[NDArray[np.int64]], int]:
@@ -228,7 +258,8 @@ def place(
 
     An instant of the base holds a reading only if the source was sampled within 0.6 of a base
     period of it; the value is then interpolated between the source's own neighbouring samples to
-    that instant, or taken as it is where the neighbour is not there.
+    that instant. Beyond the first and the last sample these are taken as they are, and so is one
+    beside a hole if it was read at just that instant, within a tenth of a period.
 
     Parameters
     ----------
@@ -252,13 +283,15 @@ def place(
     nearest, near = _nearest(time_ns, base, upper)
     step = np.maximum(time_ns[upper] - time_ns[lower], 1)
     fraction = to_lower / step
-    # Interpolate only across one ordinary step of this source, and never beyond its ends.
-    inside = (fraction >= 0) & (fraction <= 1) & (step <= 1.5 * _period_ns(time_ns))
+    # Never beyond the ends of a source, nor across more than one lost record.
+    inside = (fraction >= 0) & (fraction <= 1) & (step <= LONGEST_STEP * _period_ns(time_ns))
+    beyond = (fraction < 0) | (fraction > 1)
+    at_once = np.abs(time_ns[nearest] - base.time_ns) <= AT_ONCE * base.period_ns
     weight = np.where(inside, fraction, (nearest == upper).astype(float))[:, None]
     with np.errstate(invalid="ignore"):
         # In this form a reading that is repeated stays the same to the last bit: a stuck gyro.
         placed = values[lower] + (values[upper] - values[lower]) * weight
     exact = (weight == 0.0) | (weight == 1.0)
     placed = np.where(exact, np.where(weight == 0.0, values[lower], values[upper]), placed)
-    valid = near[:, None] & np.isfinite(placed)
+    valid = (near & (inside | beyond | at_once))[:, None] & np.isfinite(placed)
     return np.where(valid, placed, np.nan), valid

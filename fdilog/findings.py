@@ -40,10 +40,12 @@ def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Fi
     for cluster in clusters(table.time_s, said):
         channel = min(cluster.suspects)
         first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
-        rows = first + np.flatnonzero(table.valid[first:last, channel])
+        peers = noise_peers(table, channel)
+        shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
+        rows = first + np.flatnonzero(shown)
         size = _ratio(evidence, channel, cluster.start, cluster.stop)
         inside = (rows >= cluster.start) & (rows < cluster.stop)
-        shaking = _shaking(table, deviation[rows][:, noise_peers(table, channel)])
+        shaking = _shaking(table, deviation[rows][:, peers])
         low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, size.estimate)
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
         findings.append(

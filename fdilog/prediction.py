@@ -23,6 +23,9 @@ Rows = NDArray[np.int64]
 DEVIATION_GAIN = np.sqrt(1.5)
 # Neighbours are no further apart than this: one lost record is bridged. [steps]
 STEPS_APART = 2.5
+# What others and neighbours tell of a reading is known for even steps: beside a lost record, the
+# coefficients are others. [steps]
+EVEN_STEPS = 1.5
 # Readings a coefficient: with ten of them, chance fits away a tenth of the variance.
 READINGS_A_COEFFICIENT = 10
 # Of more readings than these, evenly spaced ones are fitted: a dozen coefficients are known well.
@@ -41,7 +44,11 @@ def deviations(table: ChannelTable) -> Floats:
     deviation : (n_samples, n_channels)
         0 where a neighbour is missing, or further away than two and a half steps. [rad/s]
     """
-    deviation = np.zeros(table.rate_rad_s.shape)
+    return np.nan_to_num(_deviations(table))
+
+
+def _deviations(table: ChannelTable) -> Floats:
+    deviation = np.full(table.rate_rad_s.shape, np.nan)
     for channel in range(len(table.channels)):
         rows = np.flatnonzero(table.valid[:, channel])
         readings = table.rate_rad_s[rows, channel]
@@ -50,23 +57,28 @@ def deviations(table: ChannelTable) -> Floats:
     return deviation
 
 
-def from_neighbours(time_s: Floats, readings: Floats, rate_hz: float) -> Floats:
+def from_neighbours(time_s: Floats, readings: Floats, rate_hz: float, apart: int = 1) -> Floats:
     """Deviation of the readings of one source from the mean of the two beside each.
 
     Parameters
     ----------
     readings : (n,) or (n, n_axes)
         [rad/s]
+    apart
+        How many readings further the two are.
 
     Returns
     -------
     deviation : as readings
-        0 where a neighbour is missing, or further away than two and a half steps. [rad/s]
+        NaN where a neighbour is missing, or further away than two and a half steps. [rad/s]
     """
-    deviation = np.zeros_like(readings)
-    near = _near(time_s, rate_hz)
-    middle = readings[1:-1] - (readings[:-2] + readings[2:]) / 2.0
-    deviation[1:-1][near] = middle[near]
+    deviation = np.full_like(readings, np.nan)
+    if len(readings) <= 2 * apart:
+        return deviation
+    near = _near(time_s, rate_hz, apart)
+    inner = slice(apart, -apart)
+    middle = readings[inner] - (readings[: -2 * apart] + readings[2 * apart :]) / 2.0
+    deviation[inner][near] = middle[near]
     return deviation
 
 
@@ -80,15 +92,15 @@ def deviations_as_logged(table: ChannelTable) -> Floats:
     Returns
     -------
     deviation : (n_samples, n_channels)
-        0 as for `deviations`. [rad/s]
+        NaN where a neighbour is missing. [rad/s]
     """
     logged = table.deviation_rad_s
     if logged is None:
-        return deviations(table)
-    deviation = np.zeros_like(logged)
+        return _deviations(table)
+    deviation = np.full_like(logged, np.nan)
     for channel in range(len(table.channels)):
         rows, near = _neighboured(table, channel)
-        deviation[rows[1:-1], channel] = np.where(near, logged[rows[1:-1], channel], 0.0)
+        deviation[rows[1:-1], channel] = np.where(near, logged[rows[1:-1], channel], np.nan)
     return deviation
 
 
@@ -99,10 +111,13 @@ def _neighboured(table: ChannelTable, channel: int) -> tuple[Rows, NDArray[np.bo
     return (rows, near) if near.any() else (rows[:0], near[:0])
 
 
-def _near(time_s: Floats, rate_hz: float) -> NDArray[np.bool_]:
-    """Tell which of the inner ones of some instants have both neighbours."""
-    step_s = np.diff(time_s)
-    return np.asarray(np.maximum(step_s[1:], step_s[:-1]) * rate_hz < STEPS_APART, bool)
+def _near(
+    time_s: Floats, rate_hz: float, apart: int = 1, steps: float = STEPS_APART
+) -> NDArray[np.bool_]:
+    """Tell which of the inner ones of some instants have both neighbours, within so many steps."""
+    step_s = time_s[apart:] - time_s[:-apart]
+    longest_s = np.maximum(step_s[apart:], step_s[:-apart])
+    return np.asarray(longest_s * rate_hz < apart - 1 + steps, bool)
 
 
 def innovations(
@@ -120,8 +135,8 @@ def innovations(
     Returns
     -------
     innovation : (n_samples,)
-        Reading less prediction; the deviation where some peer was not recorded, or where there
-        are too few readings to fit. [rad/s]
+        Reading less prediction; 0 beside a lost record; the deviation where some peer was not
+        recorded, or where there are too few readings to fit. [rad/s]
     weights : (n_peers,)
         What part of each peer's reading at the same instant the prediction holds. [1]
     """
@@ -130,7 +145,8 @@ def innovations(
     nothing: Floats = np.zeros(len(peers))
     if not len(peers) or len(rows) < 3:
         return found, nothing
-    told = near.copy()
+    even = _near(table.time_s[rows], table.channels[channel].rate_hz, steps=EVEN_STEPS)
+    told = near & even
     for shift in range(3):
         told &= table.valid[rows[shift : len(near) + shift]][:, peers].all(axis=1)
     at = 1 + np.flatnonzero(told)
@@ -146,6 +162,7 @@ def innovations(
     ):
         left -= weight * regressor
     found[rows[at]] = left
+    found[rows[1:-1][near & ~even]] = 0.0
     return found, weights[4::3]
 
 

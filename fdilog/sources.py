@@ -150,7 +150,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         time_s=(base.time_ns - zero_ns) / 1e9,
         rate_rad_s=np.concatenate([rate for rate, _ in placed], axis=1),
         valid=np.concatenate([valid for _, valid in placed], axis=1),
-        channels=_channels(gyros, axes),
+        channels=_channels(gyros, axes, base),
         period_s=base.period_ns / 1e9,
         deviation_rad_s=_deviations(gyros, base),
     )
@@ -168,17 +168,24 @@ def assemble(recording: Recording, config: Config) -> Assembly:
 
 
 def _deviations(gyros: Sequence[Gyro], base: TimeBase) -> NDArray[np.float64] | None:
-    """Say how far readings lay from their neighbours as logged, if any had to be interpolated."""
+    """Say how far readings lay from their neighbours as logged, if any had to be interpolated.
+
+    The neighbours are those as far away as those of the slowest source: closer ones follow the
+    same vibration more smoothly.
+    """
     from fdilog.prediction import from_neighbours
 
     if all(np.array_equal(gyro.time_ns, base.time_ns) for gyro in gyros):
         return None
     columns = []
+    slowest_hz = min(_rate_hz(gyro.time_ns) for gyro in gyros)
     for gyro in gyros:
         time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
-        found = from_neighbours(time_s, gyro.rate_rad_s, _rate_hz(gyro.time_ns))
+        rate_hz = _rate_hz(gyro.time_ns)
+        apart = max(1, round(rate_hz / slowest_hz)) if slowest_hz else 1
+        found = from_neighbours(time_s, gyro.rate_rad_s, rate_hz, apart)
         nearest, near = nearest_samples(gyro.time_ns, base)
-        columns.append(np.where(near[:, None] & np.isfinite(found[nearest]), found[nearest], 0.0))
+        columns.append(np.where(near[:, None], found[nearest], np.nan))
     return np.concatenate(columns, axis=1)
 
 
@@ -517,11 +524,13 @@ def rotation_matrix(quaternion: Sequence[float]) -> NDArray[np.float64]:
     )
 
 
-def _channels(gyros: list[Gyro], axes: NDArray[np.float64]) -> tuple[Channel, ...]:
+def _channels(gyros: list[Gyro], axes: NDArray[np.float64], base: TimeBase) -> tuple[Channel, ...]:
     from fdilog.noise import quantisation_step
 
     channels: list[Channel] = []
     for gyro in gyros:
+        nearest, near = nearest_samples(gyro.time_ns, base)
+        apart_ns = np.abs(gyro.time_ns[nearest] - base.time_ns)[near]
         for k, name in enumerate(gyro.channel_names):
             axis = axes[len(channels)]
             column = gyro.rate_rad_s[:, k]
@@ -536,6 +545,7 @@ def _channels(gyros: list[Gyro], axes: NDArray[np.float64]) -> tuple[Channel, ..
                     step_rad_s=float(quantisation_step(readings)),
                     derived=gyro.derived,
                     batched=gyro.stream.batched,
+                    apart_s=float(np.median(apart_ns)) / 1e9 if len(apart_ns) else 0.0,
                 )
             )
     return tuple(channels)
@@ -550,6 +560,10 @@ def _stamp_problems(gyro: Gyro, clean: CleanStamps) -> list[Problem]:
     problems = []
     if clean.repeated:
         what = f"{topic}: {clean.repeated} records repeat the time stamp before them; left out"
+        problems.append(Problem(what=what, note=True))
+    if clean.late:
+        were = "record was" if clean.late == 1 else "records were"
+        what = f"{topic}: {clean.late} {were} held up and stamped too late, in bursts; left out"
         problems.append(Problem(what=what, note=True))
     if clean.misplaced:
         are = "record is" if clean.misplaced == 1 else "records are"

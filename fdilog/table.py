@@ -33,6 +33,8 @@ class Channel:
         Quantisation step of its readings, 0 where none shows. [rad/s]
     batched
         Whether it comes in short batches, and is silent between them on purpose.
+    apart_s
+        How far from the instants of the table it was read, median of the modulus. [s]
     """
 
     name: str
@@ -43,6 +45,7 @@ class Channel:
     step_rad_s: float = 0.0
     derived: bool = False
     batched: bool = False
+    apart_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,9 +63,9 @@ class ChannelTable:
     period_s
         Nominal step of the time base. [s]
     deviation_rad_s : (n_samples, n_channels) or None
-        How far each reading lay from the mean of the two beside it when it was logged, 0 where that
-        is not known. Readings interpolated to the time base are smoother than those they were made
-        from; None if none is. [rad/s]
+        How far each reading lay from the mean of the two beside it when it was logged, NaN where
+        that is not known. Readings interpolated to the time base are smoother than those they were
+        made from; None if none is. [rad/s]
     """
 
     time_s: NDArray[np.float64]
@@ -150,7 +153,7 @@ class ChannelTable:
             channels=(*self.channels, *channels),
             deviation_rad_s=None
             if deviation is None
-            else np.column_stack([deviation, np.zeros_like(rate_rad_s)]),
+            else np.column_stack([deviation, np.full_like(rate_rad_s, np.nan)]),
         )
 
     def between(self, start_s: float, end_s: float) -> ChannelTable:

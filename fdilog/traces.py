@@ -12,6 +12,7 @@ from fdilog.geometry import leave_one_out
 from fdilog.noise import robust_sigma, windowed_mean
 from fdilog.table import ChannelTable
 from fdilog.usual import usual
+from fdilog.windows import FEWEST_PRESENT
 
 # Manoeuvres take longer than this, vibration is faster. [s]
 MANOEUVRE_S = 0.5
@@ -100,7 +101,9 @@ def trace_of(
     table: ChannelTable, channel: int, removed: frozenset[int], first: int, last: int
 ) -> Trace | None:
     """Trace one channel from the first sample up to the last, or nothing if it cannot be."""
-    row = leave_one_out(table.axes, sorted(removed), usual(table).sigma)[channel]
+    absent = np.flatnonzero(table.valid[first:last].mean(axis=0) < FEWEST_PRESENT)
+    without = sorted(removed.union(absent.tolist()) - {channel})
+    row = leave_one_out(table.axes, without, usual(table).sigma)[channel]
     if not bool(np.isfinite(row).all()):
         return None
     needed = np.flatnonzero(row != 0)

@@ -162,11 +162,13 @@ def _contradicts(table: ChannelTable, rate: Floats) -> bool:
         if not len(means):
             continue
         means -= np.median(means, axis=0)
-        moving = np.linalg.norm(means[:, :3], axis=1)
-        apart = np.linalg.norm(means[:, 3:] - means[:, :3], axis=1)
-        lively = moving > LEAST_MOTION_RAD_S
-        if lively.sum() >= FEWEST_LIVELY:
-            shares.append(float(np.median(apart[lively] / moving[lively])))
+        # A fault that lasts is in the changes from second to second only where it begins and ends.
+        for motion in (means, np.diff(means, axis=0)):
+            moving = np.linalg.norm(motion[:, :3], axis=1)
+            apart = np.linalg.norm(motion[:, 3:] - motion[:, :3], axis=1)
+            lively = moving > LEAST_MOTION_RAD_S
+            if lively.sum() >= FEWEST_LIVELY:
+                shares.append(float(np.median(apart[lively] / moving[lively])))
     return bool(shares) and min(shares) > FOLLOWED
 
 

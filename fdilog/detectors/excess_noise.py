@@ -83,7 +83,7 @@ class NoiseDetector:
             peers = noise_peers(table, channel)
             if not len(peers):
                 continue
-            rows = _recorded(table, [channel, *peers])
+            rows = _told(deviation, [channel, *peers])
             spread = partial(_window_sigmas, survey=survey, rows=rows)
             mine = spread(deviation[rows, channel], least=rounding[channel])
             others = [spread(deviation[rows, k], least=rounding[k]) for k in peers]
@@ -117,9 +117,9 @@ class NoiseDetector:
         ]
 
 
-def _recorded(table: ChannelTable, columns: Sequence[int]) -> NDArray[np.int64]:
-    """Return the samples that hold a reading of some channels, all of them."""
-    return np.flatnonzero(table.valid[:, columns].all(axis=1))
+def _told(deviation: Floats, columns: Sequence[int]) -> NDArray[np.int64]:
+    """Return the samples at which the noise of some channels shows, that of all of them."""
+    return np.flatnonzero(np.isfinite(deviation[:, columns]).all(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,7 +192,11 @@ def _rounding(table: ChannelTable) -> Floats:
 
 
 def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64], least: float) -> Floats:
-    """Sigma in every window of values given at some samples, about zero, what is far off capped."""
+    """Sigma in every window of values given at some samples, about zero, what is far off capped.
+
+    What is far off is told by the readings around: the median of a window that holds both rest and
+    flight may be that of either.
+    """
     first = np.searchsorted(rows, survey.windows.start)
     counts = _window_counts(survey, rows)
     sigmas = np.full(len(counts), np.nan)
@@ -200,8 +204,11 @@ def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64], leas
     for count in np.unique(counts[counts >= FEWEST_SAMPLES]):
         here = np.flatnonzero(counts == count)
         view = np.lib.stride_tricks.sliding_window_view(size, count)
+        pieces = int(count) // FEWEST_SAMPLES
+        told = int(count) // pieces * pieces
         for block in np.array_split(here, 1 + len(here) * int(count) // BLOCK_READINGS):
-            sigmas[block] = capped_sigma(view[first[block]], least)
+            even = view[first[block], :told].reshape(len(block), pieces, -1)
+            sigmas[block] = np.sqrt((capped_sigma(even, least) ** 2).mean(axis=1))
     return sigmas
 
 
@@ -317,7 +324,7 @@ def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:
 def _usual(table: ChannelTable, channel: int) -> _Usual:
     """Tell what is usual of a channel, which is the same for windows of every length."""
     columns = [channel, *noise_peers(table, channel)]
-    rows = _recorded(table, columns)
     deviation, own = shown_noise(table)
+    rows = _told(deviation, columns)
     rounding = _rounding(table)[columns]
     return _Usual.of(deviation[rows][:, columns], own[rows, channel], rounding)

@@ -35,8 +35,10 @@ NORMAL_LEVEL = 1.96
 # How far above that level an impulse stands follows from the tail that the flight itself shows: the
 # excess of unconfirmed peaks over the level, in levels, is taken for exponential (peaks over
 # threshold), and its decay is read off where nine in ten of them are passed, so that impulses do
-# not stretch it. Recorded flights show 0.15 to 0.6 levels; too few peaks are taken for middling.
+# not stretch it; nor may a dozen impulses among few peaks, which leave the middle of them alone.
+# Recorded flights show 0.15 to 0.6 levels; too few peaks are taken for middling.
 PEAKS_PASSED = 0.9
+MOST_STRETCHED = 3.0
 FEWEST_PEAKS = 20
 MIDDLING_DECAY = 0.3
 SECONDS_PER_HOUR = 3600.0
@@ -50,9 +52,12 @@ CONFIRMING_LEVELS, CONFIRMING_LEVELS_ON_AXIS = 3.0, 1.5
 # after differ by less than this part of it. At a step, where a bias begins or ends, by all of it.
 RETURNED = 0.5
 RETURNING_READINGS = 2
-# Without a second gyro on the axis only the other axes of the source can confirm a shock, and some
-# shocks turn the airframe about one axis alone: landings of recorded flights reach 58 deg/s, six
-# times the tolerance.
+# By so many sigmas of what sampling instants differ by, as all tolerances of the suite, a reading
+# may be early or late: in a hard turn, a few milliseconds make tens of a deg/s.
+TIMING_SIGMAS = 3.0
+# Without a second gyro that was read together with it, within as much, only the other axes of the
+# source can confirm a shock, and some shocks turn the airframe about one axis alone: landings of
+# recorded flights reach 58 deg/s, six times the tolerance.
 ALONE_FACTOR = 6.0
 # Nor does a turn that two readings span look like anything but an impulse: alone, a gyro must be
 # read at least so many times while the quickest manoeuvre lasts.
@@ -167,7 +172,7 @@ class _Axis:
 def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> list[_Impulse]:
     """List the samples of one channel that stand out alone."""
     channel = int(axis.channels[place])
-    alone = len(axis.channels) == 1
+    alone = _alone(table, axis, place, config)
     limit = float(np.radians(config.tolerance.impulse_deg_s)) * (ALONE_FACTOR if alone else 1.0)
     off, level = axis.off[:, place], axis.level[:, place]
     size = np.abs(off)
@@ -175,7 +180,7 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     if not len(size) or size.max() <= limit or (alone and too_slow):
         return []
     peaks = np.flatnonzero(table.valid[:, channel] & (size > level))
-    peaks = peaks[~_confirmed(table, axis, place, peaks)]
+    peaks = peaks[~_confirmed(table, axis, place, peaks, alone)]
     least = _least_levels(size[peaks] / level[peaks], table, config) * level[peaks]
     at = peaks[size[peaks] > np.maximum(limit, least)]
     rows = np.flatnonzero(table.valid[:, channel])
@@ -183,7 +188,9 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     # Both neighbours are there: the deviation of the first and the last reading is zero.
     highest = size[at] >= np.maximum(size[rows[here - 1]], size[rows[here + 1]])
     returned = _returned(table, axis, place, rows, here) <= RETURNED * size[at]
-    at = at[highest & returned]
+    doubt_s = TIMING_SIGMAS * config.noise.time_sigma_s
+    tolerance = np.hypot(limit, _mistimed(table, axis, place, at, doubt_s))
+    at = at[highest & returned & (size[at] > tolerance)]
     # An impulse stands in what is expected of the others too, and who is off is the likeliest.
     mine = axis.strangeness(place, at)
     for other in range(len(axis.channels)):
@@ -195,8 +202,15 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     ]
 
 
+def _alone(table: ChannelTable, axis: _Axis, place: int, config: Config) -> bool:
+    """Tell whether no other gyro of the axis was read at the same instants as a channel."""
+    apart_s = np.array([table.channels[channel].apart_s for channel in axis.channels])
+    together = apart_s <= TIMING_SIGMAS * config.noise.time_sigma_s
+    return not together[place] or together.sum() == 1
+
+
 def _confirmed(
-    table: ChannelTable, axis: _Axis, place: int, peaks: NDArray[np.int64]
+    table: ChannelTable, axis: _Axis, place: int, peaks: NDArray[np.int64], alone: bool
 ) -> NDArray[np.bool_]:
     """Tell which peaks of a channel some other channel confirms."""
     size = np.abs(axis.off[peaks, place])
@@ -218,7 +232,7 @@ def _confirmed(
             if other in axis.channels:
                 beyond = most > CONFIRMING_LEVELS_ON_AXIS * level
                 confirmed |= beyond & (most > CONFIRMED * size)
-        elif len(axis.channels) == 1:
+        elif alone:
             confirmed |= most > CONFIRMED * size
     return confirmed
 
@@ -233,7 +247,9 @@ def _least_levels(peaks: Floats, table: ChannelTable, config: Config) -> float:
     """
     decay = MIDDLING_DECAY
     if len(peaks) >= FEWEST_PEAKS:
-        decay = float(np.quantile(peaks - 1.0, PEAKS_PASSED)) / -np.log(1.0 - PEAKS_PASSED)
+        middle, far = np.quantile(peaks - 1.0, (0.5, PEAKS_PASSED))
+        stretched = MOST_STRETCHED * middle / np.log(2.0)
+        decay = float(min(far / -np.log(1.0 - PEAKS_PASSED), stretched))
     per_hour = SECONDS_PER_HOUR / table.period_s * len(table.channels)
     doubt = config.windows.false_findings_per_hour / per_hour
     return 1.0 + decay * max(0.0, float(np.log((1.0 - LEVEL) / doubt)))
@@ -264,6 +280,31 @@ def _returned(
     after = (total[last] - total[at + 1]) / np.maximum(last - at - 1, 1)
     change: Floats = np.abs(after - before)
     return change
+
+
+def _mistimed(
+    table: ChannelTable, axis: _Axis, place: int, samples: NDArray[np.int64], doubt_s: float
+) -> Floats:
+    """By how much readings may be off because they were read early or late, (n,). [rad/s]
+
+    It is what the peers read differently meanwhile.
+
+    References
+    ----------
+    Section 6 of the suite's notes: three sigma of the instants times the rate of change.
+    """
+    channel = int(axis.channels[place])
+    rows = np.flatnonzero(table.valid[:, channel])
+    at = np.searchsorted(rows, samples)
+    period_s = 1.0 / table.channels[channel].rate_hz
+    reach = max(1, int(np.ceil(doubt_s / period_s)))
+    around = rows[np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, len(rows) - 1)]
+    beside = table.rate_rad_s[around[:, :, None], np.delete(axis.channels, place)]
+    known = np.isfinite(beside)
+    low = np.where(known, beside, np.inf).min(axis=1)
+    high = np.where(known, beside, -np.inf).max(axis=1)
+    moved = np.maximum(high - low, 0.0).max(axis=1, initial=0.0)
+    return np.asarray(moved * min(1.0, doubt_s / (reach * period_s)), np.float64)
 
 
 def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:

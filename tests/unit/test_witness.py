@@ -170,14 +170,16 @@ def test_one_imu_with_an_attitude_is_a_table_of_six_channels() -> None:
     assert [channel.derived for channel in table.channels] == [False] * 3 + [True] * 3
 
 
-@pytest.mark.parametrize("channel", ["imu0.x", "imu0.y"])
-def test_the_attitude_finds_a_bias_of_a_single_imu(channel: str) -> None:
-    analysis = analysed(flown(1, channel).recording())
+@pytest.mark.parametrize(
+    ("channel", "size_deg_s"), [("imu0.x", 3.0), ("imu0.y", 3.0), ("imu0.x", 50.0)]
+)
+def test_the_attitude_finds_a_bias_of_a_single_imu(channel: str, size_deg_s: float) -> None:
+    analysis = analysed(flown(1, channel, size_deg_s).recording())
     finding = only(analysis)
     assert finding.suspects == (channel,)
     assert finding.witness == "att"
     assert finding.size is not None
-    assert finding.size.low <= 3.0 * DEG <= finding.size.high
+    assert finding.size.low <= size_deg_s * DEG <= finding.size.high
     assert analysis.verdict == "failed"
 
 

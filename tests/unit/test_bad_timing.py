@@ -1,0 +1,243 @@
+"""Healthy gyros that are logged late, with gaps, or at different rates: nobody is accused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fdilog.analysis import judge
+from fdilog.clocks import clean_stamps, place, time_base
+from fdilog.config import Config
+from fdilog.detectors.excess_noise import NoiseDetector
+from fdilog.recording import Recording, Stream
+from fdilog.sources import assemble, channel_table
+from fdilog.table import ChannelTable
+from fdilog.windows import Survey, cut
+from tests.tables import DEG, table_of, triads
+
+Floats = NDArray[np.float64]
+CONFIG = Config().replace("detectors", use=("parity", "impulse", "noise"))
+SECOND = 1_000_000_000
+
+
+def recording(*sources: tuple[Floats, Floats]) -> Recording:
+    """Sources of stamps (n,) [s] and readings (n, 3) [rad/s]."""
+    streams = tuple(
+        Stream(
+            name=f"imu_{sensor}",
+            time_ns=np.round(stamp_s * SECOND).astype(np.int64),
+            columns=dict(zip("xyz", rate.T, strict=True)),
+            units=dict.fromkeys("xyz", "rad/s"),
+            clock="boot",
+            gyro=("x", "y", "z"),
+            sensor=sensor,
+        )
+        for sensor, (stamp_s, rate) in enumerate(sources)
+    )
+    return Recording(path="", format="made", bytes=0, streams=streams)
+
+
+def flips(time_s: Floats) -> Floats:
+    """Rates of hard turns, 300 deg/s within 50 ms, every five seconds, (n, 3). [rad/s]"""
+    edges = np.arange(5.0, 100.0, 5.0)
+    ramp = np.clip((time_s[:, None] - edges) / 0.05, 0.0, 1.0)
+    level = ramp @ np.where(np.arange(len(edges)) % 2, -300.0, 300.0) * DEG
+    return np.column_stack([level, -0.5 * level, 0.3 * level])
+
+
+def vibration(time_s: Floats, seed: int, highest_hz: float = 40.0) -> Floats:
+    """Vibration of one gyro, smooth at 200 Hz and folded at 25 Hz, (n, 3). [rad/s]"""
+    rng = np.random.default_rng(seed)
+    hz = rng.uniform(5.0, highest_hz, 60)
+    phase = rng.uniform(0, 2 * np.pi, (60, 3))
+    waves = np.sin(2 * np.pi * hz[:, None, None] * time_s[:, None] + phase[:, None, :])
+    return np.asarray(waves.sum(axis=0) * 0.3 * DEG)
+
+
+def test_records_that_were_held_up_are_left_out_and_the_last_of_the_burst_stays() -> None:
+    even = np.arange(0.0, 20.0, 0.02)
+    late = even.copy()
+    late[500:504] = late[504] - np.array([0.004, 0.003, 0.002, 0.001])
+    (clean,) = clean_stamps([np.round(late * SECOND).astype(np.int64)])
+    assert clean.late == 4
+    assert np.setdiff1d(np.arange(len(even)), clean.keep).tolist() == [500, 501, 502, 503]
+    rate = np.random.default_rng(1).normal(0.0, DEG, (len(even), 3))
+    (problem,) = assemble(recording((late, rate), (even, 2.0 * rate)), CONFIG).problems
+    assert problem.note
+    assert problem.what == "imu_0: 4 records were held up and stamped too late, in bursts; left out"
+
+
+@pytest.mark.parametrize("pair_s", [0.002, 0.02])
+def test_records_that_always_come_in_pairs_are_not_held_up(pair_s: float) -> None:
+    stamps = np.sort(np.concatenate([np.arange(0, 20, 0.04), np.arange(0, 20, 0.04) + pair_s]))
+    (clean,) = clean_stamps([np.round(stamps * SECOND).astype(np.int64)])
+    assert clean.late == 0
+
+
+def test_one_lost_record_is_bridged_and_beside_a_hole_nothing_is_taken_for_another_instant() -> (
+    None
+):
+    base_s, other_s = np.arange(0.0, 4.0, 0.04), np.arange(0.0, 4.0, 0.04) + 0.015
+    kept = np.ones(len(other_s), bool)
+    kept[[30, 60, 61, 62]] = False
+    base_ns, other_ns = (np.round(s * SECOND).astype(np.int64) for s in (base_s, other_s))
+    base = time_base([base_ns, other_ns], dropout_s=0.5)
+    # A steep turn: a reading taken for another instant would be off.
+    values, valid = place(other_ns[kept], 100.0 * other_s[kept][:, None], base)
+    assert valid[31, 0]
+    assert not valid[61:63, 0].any()
+    np.testing.assert_allclose(values[valid], 100.0 * base_s[:, None][valid], atol=1.6)
+    inner = valid[1:, 0]
+    np.testing.assert_allclose(values[1:][inner, 0], 100.0 * base_s[1:][inner], atol=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 100.0])
+def test_edges_of_hard_turns_read_a_few_milliseconds_apart_are_no_impulses(rate_hz: float) -> None:
+    time_s = np.arange(0.0, 100.0, 1.0 / rate_hz)
+    rng = np.random.default_rng(3)
+    late_s = np.zeros_like(time_s)
+    edges = np.searchsorted(time_s, [20.02, 55.02, 80.02])
+    late_s[edges] = [0.004, -0.004, 0.004]
+    rates = [
+        flips(time_s - late) + rng.normal(0.0, 0.1 * DEG, (len(time_s), 3))
+        for late in (late_s, 0.0 * time_s)
+    ]
+    apart = np.abs(rates[0] - rates[1])[edges, 0]
+    assert (apart > 20.0 * DEG).all()
+    assert judge(table_of(time_s, np.hstack(rates)), CONFIG).findings == ()
+    # Without the turn it is one.
+    still = rates[0] - flips(time_s - late_s)
+    still[edges, 0] += apart
+    peers = rates[1] - flips(time_s)
+    findings = judge(table_of(time_s, np.hstack([still, peers])), CONFIG).findings
+    assert {(f.kind, f.suspects) for f in findings} == {("impulse", ("imu0.x",))}
+
+
+def test_a_blow_that_a_gyro_read_at_another_instant_misses_is_no_impulse() -> None:
+    rng = np.random.default_rng(4)
+    sources: list[tuple[Floats, Floats]] = []
+    for late in (0.0, 0.02):
+        stamp_s = np.arange(0.0, 200.0, 0.05) + late
+        rate = vibration(stamp_s, 7) * 0.2 + rng.normal(0, 0.1 * DEG, (len(stamp_s), 3))
+        # Every blow of 25 deg/s lasts 10 ms: only the first gyro is read meanwhile.
+        blow = np.exp(-(((stamp_s[:, None] - np.arange(20.0, 200.0, 30.0)) / 0.005) ** 2)).sum(
+            axis=1
+        )
+        sources.append((stamp_s, rate + 25.0 * DEG * blow[:, None] * [1.0, 0.0, 0.0]))
+    assert np.abs(sources[0][1]).max() > 20.0 * DEG > 4.0 * np.abs(sources[1][1]).max()
+    assert judge(channel_table(recording(*sources)), CONFIG).findings == ()
+
+
+def test_an_impulse_of_a_gyro_that_is_read_together_with_another_is_still_found() -> None:
+    table = triads(2, seconds=100.0, rate_hz=25.0)
+    rate = table.rate_rad_s.copy()
+    rate[1000, 3] += 30.0 * DEG
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("impulse", ("imu1.x",))
+
+
+def test_a_slower_gyro_is_not_noisier_for_its_vibration_being_less_smooth() -> None:
+    rng = np.random.default_rng(5)
+    sources = []
+    for rate_hz in (200.0, 25.0):
+        time_s = np.arange(0.0, 100.0, 1.0 / rate_hz)
+        noise = rng.normal(0.0, 0.02 * DEG, (len(time_s), 3))
+        sources.append((time_s, vibration(time_s, int(rate_hz)) + noise))
+    table = channel_table(recording(*sources))
+    assert table.deviation_rad_s is not None
+    logged = np.nanstd(table.deviation_rad_s, axis=0)
+    np.testing.assert_allclose(logged, logged.mean(), rtol=0.2)
+    assert judge(table, CONFIG).findings == ()
+
+
+def test_what_is_not_known_of_a_reading_is_not_taken_for_silence() -> None:
+    rng = np.random.default_rng(6)
+    time_s = np.arange(0.0, 300.0, 0.01)
+    rate = rng.normal(0.0, 2.0 * DEG, (len(time_s), 6))
+    # Of the second gyro mostly pairs of readings are there, of which none has two neighbours.
+    place_in_60 = np.arange(len(time_s)) % 60
+    there = (place_in_60 % 6 < 2) | (place_in_60 == 2)
+    rate[~there, 3:] = np.nan
+    assert judge(table_of(time_s, rate), CONFIG).findings == ()
+
+
+def test_noise_in_windows_that_hold_rest_and_flight_is_that_of_both() -> None:
+    rng = np.random.default_rng(7)
+    time_s = np.arange(0.0, 120.0, 0.04)
+    table = table_of(time_s, rng.normal(0.0, 0.1 * DEG, (len(time_s), 6)))
+    # The medians of the two gyros fall on either side: 49 and 51 % of the window are in flight.
+    rate = table.rate_rad_s.copy()
+    for channel, from_s in ((0, 60.6), (3, 59.4)):
+        loud = time_s >= from_s
+        rate[loud, channel] = rng.normal(0.0, 3.0 * DEG, int(loud.sum()))
+    table = table_of(time_s, rate)
+    (windows,) = (w for w in cut(table, CONFIG) if w.length_s == 20.0)
+    (evidence,) = NoiseDetector().detect(Survey(table=table, windows=windows, config=CONFIG))
+    middle = int(np.argmin(np.abs((windows.start_s + windows.end_s) / 2 - 60.0)))
+    assert evidence.low[middle, [0, 3]] == pytest.approx(1.0, rel=0.5)
+    assert not evidence.accused[middle, [0, 3]].any()
+
+
+def _named(tables: Sequence[ChannelTable]) -> list[tuple[str, tuple[str, ...]]]:
+    return [(f.kind, f.suspects) for table in tables for f in judge(table, CONFIG).findings]
+
+
+def test_a_misalignment_is_calibrated_where_the_sources_are_of_different_rates() -> None:
+    rng = np.random.default_rng(8)
+    sources = []
+    for rate_hz, turned in ((100.0, 0.0), (25.0, 0.012)):
+        time_s = np.arange(0.0, 200.0, 1.0 / rate_hz)
+        spin = 150.0 * DEG * np.sin(2 * np.pi * time_s[:, None] * [0.01, 0.013, 0.017])
+        rate = spin + turned * spin[:, [1, 2, 0]]
+        sources.append((time_s, rate + rng.normal(0.0, 0.1 * DEG, (len(time_s), 3))))
+    assert _named([channel_table(recording(*sources))]) == []
+
+
+def test_a_large_bias_does_not_come_up_on_the_other_axes_by_way_of_misalignment() -> None:
+    rng = np.random.default_rng(9)
+    time_s = np.arange(0.0, 120.0, 0.04)
+    spin = 40.0 * DEG * np.sin(2 * np.pi * time_s[:, None] * [0.11, 0.13, 0.17])
+    rates = [
+        spin + turned * spin[:, [1, 2, 0]] + rng.normal(0.0, 0.1 * DEG, (len(time_s), 3))
+        for turned in (0.0, 0.01, -0.012)
+    ]
+    rate = np.hstack(rates)
+    rate[(time_s >= 40.0) & (time_s < 70.0), 3] += 400.0 * DEG
+    assert _named([table_of(time_s, rate)]) == [("bias", ("imu1.x",))]
+
+
+def test_a_bias_is_isolated_from_those_that_are_left_while_a_third_gyro_is_silent() -> None:
+    table = triads(4, seconds=120.0)
+    rate = table.rate_rad_s.copy()
+    time_s = table.time_s
+    rate[time_s >= 40.0, 0] = np.nan
+    rate[time_s >= 40.0, 3] += 10.0 * DEG
+    (finding,) = (f for f in judge(table_of(time_s, rate), CONFIG).findings if f.kind == "bias")
+    assert finding.suspects == ("imu1.x",)
+    assert finding.start_s == pytest.approx(40.0, abs=0.1)
+
+
+def test_vibration_that_stands_still_for_a_second_or_two_is_no_bias() -> None:
+    rng = np.random.default_rng(10)
+    time_s = np.arange(0.0, 200.0, 0.02)
+    # Folded to 11 Hz by the logging, and now to none at all, at its peak.
+    hz = np.where((time_s >= 99.0) & (time_s < 101.0), 0.0, 11.3)
+    phase = 2 * np.pi * np.cumsum(hz) * 0.02
+    phase -= phase[np.searchsorted(time_s, 99.5)]
+    rate = rng.normal(0.0, 2.0 * DEG, (len(time_s), 6))
+    rate[:, 0] += 6.0 * DEG * np.cos(phase)
+    assert judge(table_of(time_s, rate), CONFIG).findings == ()
+
+
+def test_large_impulses_do_not_hide_one_another_where_few_other_peaks_are() -> None:
+    table = triads(2, seconds=30.0, sigma_deg_s=0.2)
+    rate = table.rate_rad_s.copy()
+    at = np.arange(150, 1500, 250)
+    rate[at, 0] += 2000.0 * DEG
+    findings = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert {f.kind for f in findings} == {"impulse"}
+    assert sorted(round(f.start_s * 50) for f in findings) == at.tolist()
+    assert {f.suspects for f in findings} == {("imu0.x",)}
