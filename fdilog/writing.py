@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -80,10 +81,22 @@ def write_injected(injection: Injection, log: str | Path, path: str | Path) -> N
         raise UsageError(f"{path}: is the log itself; name another file for the copy")
     writer: Any = _writer(path)
     if not hasattr(writer, "patch") or log.suffix.lower() != path.suffix.lower():
-        write(injection.recording, path)
+        write(_without_rivals(injection), path)
         return
     with _one_line(path):
         writer.patch(log, path, injection.changes)
+
+
+def _without_rivals(injection: Injection) -> Recording:
+    """Leave out other streams of the sensors that fail: these do not hold the fault.
+
+    A writer would choose one of them if the fault leaves the changed stream with less to say.
+    """
+    changed = {change.stream.name for change in injection.changes}
+    failed = {change.stream.sensor for change in injection.changes} - {None}
+    streams = injection.recording.streams
+    kept = [s for s in streams if not s.gyro or s.sensor not in failed or s.name in changed]
+    return replace(injection.recording, streams=tuple(kept))
 
 
 def _writer(path: Path) -> Writer:
