@@ -25,6 +25,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 HEARTBEAT_NS = 1_000_000_000
 QUADROTOR, ARDUPILOT, ARMED, ACTIVE, STANDBY, PROTOCOL = 2, 3, 128, 4, 3, 3
 ANGLES = ("roll", "pitch", "yaw")
+QUATERNION = {"qw": "q1", "qx": "q2", "qy": "q3", "qz": "q4"}
 ACCELEROMETER_UPDATED, GYRO_UPDATED = 0x07, 0x38
 # ArduPilot's own choice of message for its first, second and third sensor.
 SENSOR_MESSAGES = ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -54,7 +55,7 @@ def write(recording: Recording, path: Path) -> None:
     The first three sensors go out as ArduPilot sends them (whole millirad/s and milli-g, 16 bits,
     and no message where a reading is no number); if there are others, all as HIGHRES_IMU with its
     id. Of each sensor the stream is written that an analysis would use. A stream with ``roll``,
-    ``pitch`` and ``yaw`` becomes ATTITUDE.
+    ``pitch`` and ``yaw`` becomes ATTITUDE, one of a quaternion alone ATTITUDE_QUATERNION.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def write(recording: Recording, path: Path) -> None:
         if not len(messages_sent.time_ns):
             raise UsageError(f"{path}: no message of {gyro.name} would be without a missing number")
     sensors = [gyro.stream for gyro in triads.values()]
-    sent += [_attitude(s) for s in recording.streams if s.columns.keys() >= {*ANGLES}]
+    sent += [turned for s in recording.streams if (turned := _attitude(s)) is not None]
     sent += _once_a_second(recording, sensors)
     path.write_bytes(tlog(sent, recording.utc_at_zero_ns or 0))
 
@@ -179,9 +180,15 @@ def _highres(gyro: Gyro, number: int) -> Messages:
     return messages("HIGHRES_IMU", stream.time_ns, **fields)
 
 
-def _attitude(stream: Stream) -> Messages:
-    angles = {name: stream.columns[name] for name in ANGLES}
-    return messages("ATTITUDE", stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **angles)
+def _attitude(stream: Stream) -> Messages | None:
+    if stream.columns.keys() >= {*ANGLES}:
+        name, fields = "ATTITUDE", {angle: stream.columns[angle] for angle in ANGLES}
+    elif stream.columns.keys() >= {*QUATERNION}:
+        name = "ATTITUDE_QUATERNION"
+        fields = {field: stream.columns[part] for part, field in QUATERNION.items()}
+    else:
+        return None
+    return messages(name, stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **fields)
 
 
 def _once_a_second(recording: Recording, sensors: list[Stream]) -> list[Messages]:
