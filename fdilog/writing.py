@@ -12,10 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
 from fdilog.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
+from fdilog.sources import choose, physical_streams
 
 
 class Writer(Protocol):
@@ -81,22 +83,35 @@ def write_injected(injection: Injection, log: str | Path, path: str | Path) -> N
         raise UsageError(f"{path}: is the log itself; name another file for the copy")
     writer: Any = _writer(path)
     if not hasattr(writer, "patch") or log.suffix.lower() != path.suffix.lower():
-        write(_without_rivals(injection), path)
+        write(_anew(injection, path), path)
         return
     with _one_line(path):
         writer.patch(log, path, injection.changes)
 
 
-def _without_rivals(injection: Injection) -> Recording:
-    """Leave out other streams of the sensors that fail: these do not hold the fault.
+def _anew(injection: Injection, path: Path) -> Recording:
+    """Leave out every gyro stream that an analysis of the log itself would not use.
 
-    A writer would choose one of them if the fault leaves the changed stream with less to say.
+    The fault may have left the changed stream with less to say than another one of its sensor, or
+    unlike a twin that is the same sensor logged twice: these do not hold the fault.
     """
-    changed = {change.stream.name for change in injection.changes}
-    failed = {change.stream.sensor for change in injection.changes} - {None}
-    streams = injection.recording.streams
-    kept = [s for s in streams if not s.gyro or s.sensor not in failed or s.name in changed]
-    return replace(injection.recording, streams=tuple(kept))
+    changes = injection.changes
+    changed = {change.stream.name for change in changes}
+    used = changed | physical_streams(injection.original, Config())
+    streams = [
+        s
+        for s in injection.recording.streams
+        if not s.gyro or s.origin == "derived" or s.name in used
+    ]
+    copy = replace(injection.recording, streams=tuple(streams))
+    held = {gyro.stream.name for gyro in choose(copy, Config())[0]}
+    for change in changes:
+        if change.stream.name not in held and not change.removed.all():
+            raise UsageError(
+                f"{path}: a log written anew would not hold {change.stream.name}, where the fault"
+                f" is; {', '.join(sorted(held))} would be its gyros"
+            )
+    return copy
 
 
 def _writer(path: Path) -> Writer:

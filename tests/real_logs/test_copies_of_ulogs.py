@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fdilog.config import Config
-from fdilog.faults import Fault
+from fdilog.faults import Fault, FaultKind
 from fdilog.injection import inject
 from fdilog.recording import Recording
 from fdilog.registry import read
@@ -16,18 +16,21 @@ from fdilog.sources import Gyro, assemble, choose
 from fdilog.writing import write_injected
 from tests.ulog_oracle import official
 
-# The channel that fails, and how many physical gyros the logger recorded.
+# The channel that fails, and how many physical gyros there are: one that is bit for bit another is
+# none of its own.
 LOGS = [
     ("quad_250hz", "imu0.y", 1),
     ("cube_3gyros_1hz", "imu1.y", 3),
-    ("sil_motor_fault", "imu1.y", 3),
+    ("sil_motor_fault", "imu1.y", 2),
 ]
 # Half of the least step of a tlog's messages, and what single precision leaves of 2 rad/s.
 ROUNDING_RAD_S = {".tlog": 0.5e-3, ".ulg": 2e-7}
 
 
 def gyros_of(recording: Recording) -> list[Gyro]:
-    return choose(recording, Config())[0]
+    """Give those that an analysis uses."""
+    used = {info.name for info in assemble(recording, Config()).sources if info.used}
+    return [gyro for gyro in choose(recording, Config())[0] if gyro.name in used]
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
@@ -60,6 +63,25 @@ def test_a_copy_has_each_gyro_once_and_the_fault_in_one_channel(
         np.testing.assert_allclose(
             new.rate_rad_s, expected, rtol=1e-6, atol=ROUNDING_RAD_S[suffix] * (1 + 1e-6)
         )
+
+
+@pytest.mark.parametrize("kind", ["bias", "dead"])
+def test_a_fault_of_a_whole_flight_makes_no_second_sensor_of_a_twin(
+    real_logs: Path, tmp_path: Path, kind: FaultKind
+) -> None:
+    log, copy = real_logs / "ulog" / "sil_motor_fault.ulg", tmp_path / "copy.ulg"
+    recording = read(log)
+    size = 0.125 if kind == "bias" else None
+    fault = Fault(kind=kind, channel="imu1.x", start_s=0.0, end_s=np.inf, size=size)
+    write_injected(inject(recording, [fault]), log, copy)
+    before, after = (assemble(one, Config()).table for one in (recording, read(copy)))
+    assert after.names == before.names
+    assert len(choose(recording, Config())[0]) == 3
+    assert len(before.gyros.names) == 6
+    apart = np.abs(after.gyros.rate_rad_s - before.gyros.rate_rad_s)
+    assert [n for n, a in zip(before.gyros.names, apart.T, strict=True) if np.nanmax(a) > 1e-5] == [
+        "imu1.x"
+    ]
 
 
 def test_the_official_library_sees_the_gyro_of_a_log_that_holds_the_selected_one_alone(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fdilog.config import Config
+from fdilog.config import Config, GyroSource
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.faults import Fault
 from fdilog.injection import inject
@@ -180,3 +180,34 @@ def test_a_tlog_in_which_no_reading_would_be_whole_is_refused(tmp_path: Path) ->
     with pytest.raises(UsageError, match="no message of imu0"):
         write(recording, tmp_path / "flight.tlog")
     assert not (tmp_path / "flight.tlog").exists()
+
+
+def test_a_fault_of_a_source_that_the_configuration_describes_is_in_the_copy(
+    tmp_path: Path,
+) -> None:
+    recording = recorded(2)
+    second = recording.streams[1]
+    left = GyroSource(name="left", topic=second.name, fields=second.gyro, unit="rad/s")
+    config = Config(sources=replace(Config().sources, gyro=(left,)))
+    bias = Fault(kind="bias", channel="left.y", start_s=2.0, end_s=4.0, size=0.125)
+    write_injected(
+        inject(recording, [bias], config=config), tmp_path / "flight.csv", tmp_path / "copy.ulg"
+    )
+    after = choose(read(tmp_path / "copy.ulg"), Config())[0][1].rate_rad_s
+    apart = after - np.column_stack([second.columns[name] for name in second.gyro])
+    assert (np.abs(apart) > 1e-3).any(axis=0).tolist() == [False, True, False]
+    assert apart.max() == pytest.approx(0.125, abs=1e-6)
+
+
+def test_a_fault_that_no_gyro_of_the_copy_would_hold_is_refused(tmp_path: Path) -> None:
+    recording = recorded(2)
+    second = replace(recording.streams[1], gyro=(), sensor=None)
+    streams = (recording.streams[0], second, *recording.streams[2:])
+    fields = recording.streams[1].gyro
+    left = GyroSource(name="left", topic=second.name, fields=fields, unit="rad/s")
+    config = Config(sources=replace(Config().sources, gyro=(left,)))
+    bias = Fault(kind="bias", channel="left.y", start_s=2.0, end_s=4.0, size=0.125)
+    injection = inject(replace(recording, streams=streams), [bias], config=config)
+    with pytest.raises(UsageError, match="would not hold imu1, where the fault is"):
+        write_injected(injection, tmp_path / "flight.csv", tmp_path / "copy.ulg")
+    assert not (tmp_path / "copy.ulg").exists()
