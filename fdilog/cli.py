@@ -536,7 +536,8 @@ def inject(
 ) -> None:
     """Write a copy of a log with a known fault in it, and FILE.truth.json beside it.
 
-    In a copy of the same format every byte that the fault does not touch stays as it is.
+    In a DataFlash copy of a DataFlash log every byte that the fault does not touch stays as it is;
+    else the copy holds one stream of each gyro, under the same names.
     """
     from fdilog.injection import inject as put
     from fdilog.registry import read

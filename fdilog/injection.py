@@ -45,12 +45,15 @@ class Injection:
 
     Parameters
     ----------
+    original
+        As it was before.
     changes
         What a patcher needs to do the same to the log's own bytes.
     truth
         The faults, and what was found out to apply them, as plain JSON values.
     """
 
+    original: Recording
     recording: Recording
     changes: tuple[Change, ...]
     truth: dict[str, Any]
@@ -122,9 +125,14 @@ def inject(
         for gyro, rate, hit in zip(gyros, rates, hits, strict=True)
         if hit.any()
     )
-    changed = {id(change.stream): _changed(change) for change in changes}
-    streams = tuple(changed.get(id(stream), stream) for stream in recording.streams)
+    # A source that the configuration describes is a stream of its own around the same columns.
+    changed = {id(change.stream.columns): change for change in changes}
+    streams = tuple(
+        _changed(stream, changed[id(stream.columns)]) if id(stream.columns) in changed else stream
+        for stream in recording.streams
+    )
     return Injection(
+        original=recording,
         recording=replace(recording, streams=streams),
         changes=changes,
         truth={
@@ -169,8 +177,8 @@ def _in_type(values: NDArray[np.float64], kind: np.dtype[Any]) -> NDArray[Any]:
     return values.astype(kind)
 
 
-def _changed(change: Change) -> Stream:
-    stream, kept = change.stream, ~change.removed
+def _changed(stream: Stream, change: Change) -> Stream:
+    kept = ~change.removed
     return replace(
         stream,
         time_ns=stream.time_ns[kept],

@@ -247,6 +247,17 @@ def choose(recording: Recording, config: Config) -> tuple[list[Gyro], list[Sourc
     return chosen, infos
 
 
+def physical_streams(recording: Recording, config: Config) -> set[str]:
+    """Name the streams that an analysis uses as gyros: each physical sensor once."""
+    gyros, infos = choose(recording, config)
+    stamps = clean_stamps([gyro.time_ns for gyro in gyros])
+    gyros = [
+        replace(gyro, time_ns=clean.time_ns, rate_rad_s=gyro.rate_rad_s[clean.keep])
+        for gyro, clean in zip(gyros, stamps, strict=True)
+    ]
+    return {gyro.stream.name for gyro in _without_duplicates(gyros, infos)[0]}
+
+
 def _nothing_found(recording: Recording, infos: list[SourceInfo]) -> str:
     if infos:
         what = "; ".join(f"{info.topic}: {info.reason}" for info in infos[:MOST_LISTED])

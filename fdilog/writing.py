@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
 from fdilog.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
+from fdilog.sources import choose, physical_streams
 
 
 class Writer(Protocol):
@@ -80,10 +83,35 @@ def write_injected(injection: Injection, log: str | Path, path: str | Path) -> N
         raise UsageError(f"{path}: is the log itself; name another file for the copy")
     writer: Any = _writer(path)
     if not hasattr(writer, "patch") or log.suffix.lower() != path.suffix.lower():
-        write(injection.recording, path)
+        write(_anew(injection, path), path)
         return
     with _one_line(path):
         writer.patch(log, path, injection.changes)
+
+
+def _anew(injection: Injection, path: Path) -> Recording:
+    """Leave out every gyro stream that an analysis of the log itself would not use.
+
+    The fault may have left the changed stream with less to say than another one of its sensor, or
+    unlike a twin that is the same sensor logged twice: these do not hold the fault.
+    """
+    changes = injection.changes
+    changed = {change.stream.name for change in changes}
+    used = changed | physical_streams(injection.original, Config())
+    streams = [
+        s
+        for s in injection.recording.streams
+        if not s.gyro or s.origin == "derived" or s.name in used
+    ]
+    copy = replace(injection.recording, streams=tuple(streams))
+    held = {gyro.stream.name for gyro in choose(copy, Config())[0]}
+    for change in changes:
+        if change.stream.name not in held and not change.removed.all():
+            raise UsageError(
+                f"{path}: a log written anew would not hold {change.stream.name}, where the fault"
+                f" is; {', '.join(sorted(held))} would be its gyros"
+            )
+    return copy
 
 
 def _writer(path: Path) -> Writer:

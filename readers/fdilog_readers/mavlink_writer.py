@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
+from fdilog.sources import Gyro
 from fdilog_readers.mavlink_dialect import CHECKSUM_BYTES, HEADER_V2, V2, checksums, dialect
+from fdilog_readers.triads import numbered_triads
 
 suffix = ".tlog"
 
@@ -23,6 +25,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 HEARTBEAT_NS = 1_000_000_000
 QUADROTOR, ARDUPILOT, ARMED, ACTIVE, STANDBY, PROTOCOL = 2, 3, 128, 4, 3, 3
 ANGLES = ("roll", "pitch", "yaw")
+QUATERNION = {"qw": "q1", "qx": "q2", "qy": "q3", "qz": "q4"}
 ACCELEROMETER_UPDATED, GYRO_UPDATED = 0x07, 0x38
 # ArduPilot's own choice of message for its first, second and third sensor.
 SENSOR_MESSAGES = ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -49,28 +52,28 @@ class Messages(NamedTuple):
 def write(recording: Recording, path: Path) -> None:
     """Write the gyros of a recording, its attitude, armed spans and UTC, as a tlog.
 
-    Up to three sensors go out as ArduPilot sends them (whole millirad/s and milli-g, 16 bits, and
-    no message where a reading is no number); more than three as HIGHRES_IMU with its id. A stream
-    with ``roll``, ``pitch`` and ``yaw`` becomes ATTITUDE.
+    The first three sensors go out as ArduPilot sends them (whole millirad/s and milli-g, 16 bits,
+    and no message where a reading is no number); if there are others, all as HIGHRES_IMU with its
+    id. Of each sensor the stream is written that an analysis would use. A stream with ``roll``,
+    ``pitch`` and ``yaw`` becomes ATTITUDE, one of a quaternion alone ATTITUDE_QUATERNION.
 
     Raises
     ------
+    NoGyroError
+        If there is no gyro.
     UsageError
-        If a device is no triad: the protocol has no message for it.
+        If a device is no triad, or none of its readings is whole: there is no message for it.
     """
-    sensors = [s for s in recording.streams if s.gyro and s.origin == "sensor"]
-    sensors.sort(key=lambda s: (s.sensor is None, s.sensor or 0, s.name))
-    for sensor in sensors:
-        if len(sensor.gyro) != 3:
-            raise UsageError(
-                f"{path}: MAVLink has no message for the {len(sensor.gyro)} gyros of {sensor.name};"
-                " write .csv"
-            )
-    if len(sensors) <= len(SENSOR_MESSAGES):
-        sent = [_scaled(s, name) for s, name in zip(sensors, SENSOR_MESSAGES, strict=False)]
+    triads = numbered_triads(recording, path, "MAVLink has no message")
+    if max(triads) < len(SENSOR_MESSAGES):
+        sent = [_scaled(gyro, SENSOR_MESSAGES[number]) for number, gyro in triads.items()]
     else:
-        sent = [_highres(s, number) for number, s in enumerate(sensors)]
-    sent += [_attitude(s) for s in recording.streams if s.columns.keys() >= {*ANGLES}]
+        sent = [_highres(gyro, number) for number, gyro in triads.items()]
+    for gyro, messages_sent in zip(triads.values(), sent, strict=True):
+        if not len(messages_sent.time_ns):
+            raise UsageError(f"{path}: no message of {gyro.name} would be without a missing number")
+    sensors = [gyro.stream for gyro in triads.values()]
+    sent += [turned for s in recording.streams if (turned := _attitude(s)) is not None]
     sent += _once_a_second(recording, sensors)
     path.write_bytes(tlog(sent, recording.utc_at_zero_ns or 0))
 
@@ -146,14 +149,18 @@ def messages(name: str, time_ns: Times, **fields: Any) -> Messages:
     return Messages(message_id, time_ns, payload.view(np.uint8).reshape(-1, layout.itemsize))
 
 
-def _scaled(stream: Stream, name: str) -> Messages:
-    values: dict[str, NDArray[Any]] = {}
-    for axis, column in zip("xyz", stream.gyro, strict=True):
-        values[f"{axis}gyro"] = stream.columns[column] * 1e3
+def _scaled(gyro: Gyro, name: str) -> Messages:
+    stream = gyro.stream
+    others: dict[str, NDArray[Any]] = {}
     for axis, column in zip("xyz", stream.accelerometer, strict=False):
-        values[f"{axis}acc"] = stream.columns[column] / STANDARD_GRAVITY_M_S2 * 1e3
+        others[f"{axis}acc"] = stream.columns[column] / STANDARD_GRAVITY_M_S2 * 1e3
     if "temperature" in stream.columns:
-        values["temperature"] = stream.columns["temperature"] * 100
+        others["temperature"] = stream.columns["temperature"] * 100
+    values = {
+        f"{axis}gyro": rate * 1e3 for axis, rate in zip("xyz", gyro.rate_rad_s.T, strict=True)
+    }
+    # What the sensor never tells stays zero, and keeps none of its rates back.
+    values |= {field: column for field, column in others.items() if np.isfinite(column).any()}
     sent = np.isfinite(np.column_stack(list(values.values()))).all(axis=1)
     time_ns = stream.time_ns[sent]
     fields = {field: _int16(column[sent]) for field, column in values.items()}
@@ -162,19 +169,26 @@ def _scaled(stream: Stream, name: str) -> Messages:
     return messages(name, time_ns, time_boot_ms=time_ns // 1_000_000, **fields)
 
 
-def _highres(stream: Stream, number: int) -> Messages:
+def _highres(gyro: Gyro, number: int) -> Messages:
+    stream = gyro.stream
     fields: dict[str, Any] = {"id": number, "time_usec": stream.time_ns // 1000}
     fields["fields_updated"] = GYRO_UPDATED | ACCELEROMETER_UPDATED * bool(stream.accelerometer)
-    for axis, column in zip("xyz", stream.gyro, strict=True):
-        fields[f"{axis}gyro"] = stream.columns[column]
+    for axis, rate in zip("xyz", gyro.rate_rad_s.T, strict=True):
+        fields[f"{axis}gyro"] = rate
     for axis, column in zip("xyz", stream.accelerometer, strict=False):
         fields[f"{axis}acc"] = stream.columns[column]
     return messages("HIGHRES_IMU", stream.time_ns, **fields)
 
 
-def _attitude(stream: Stream) -> Messages:
-    angles = {name: stream.columns[name] for name in ANGLES}
-    return messages("ATTITUDE", stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **angles)
+def _attitude(stream: Stream) -> Messages | None:
+    if stream.columns.keys() >= {*ANGLES}:
+        name, fields = "ATTITUDE", {angle: stream.columns[angle] for angle in ANGLES}
+    elif stream.columns.keys() >= {*QUATERNION}:
+        name = "ATTITUDE_QUATERNION"
+        fields = {field: stream.columns[part] for part, field in QUATERNION.items()}
+    else:
+        return None
+    return messages(name, stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **fields)
 
 
 def _once_a_second(recording: Recording, sensors: list[Stream]) -> list[Messages]:

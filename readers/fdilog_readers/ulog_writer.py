@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.errors import UsageError
 from fdilog.motion import quaternion
 from fdilog.recording import Recording, Stream
+from fdilog.sources import Gyro
+from fdilog_readers.triads import numbered_triads
 from fdilog_readers.ulog_layout import HEADER_BYTES, MAGIC, TYPES
 
 suffix = ".ulg"
@@ -83,28 +84,27 @@ class Topic:
 def write(recording: Recording, path: Path) -> None:
     """Write the gyros and accelerometers of a recording, its attitude, armed spans and UTC.
 
-    Stamps are whole microseconds and readings single precision there. A stream with ``qw``, ``qx``,
-    ``qy`` and ``qz``, or with ``roll``, ``pitch`` and ``yaw``, becomes vehicle_attitude.
+    Stamps are whole microseconds and readings single precision there. Of each sensor the stream
+    is written that an analysis would use, as sensor_gyro. A stream with ``qw``, ``qx``, ``qy`` and
+    ``qz``, or with ``roll``, ``pitch`` and ``yaw``, becomes vehicle_attitude.
 
     Raises
     ------
+    NoGyroError
+        If there is no gyro.
     UsageError
         If a device is no triad: no topic of this format holds it.
     """
-    sensors = [s for s in recording.streams if s.gyro and s.origin == "sensor"]
-    sensors.sort(key=lambda s: (s.sensor is None, s.sensor or 0, s.name))
+    triads = numbered_triads(recording, path, "a ULog has no topic")
     topics: list[Topic] = []
-    for number, sensor in enumerate(sensors):
-        if len(sensor.gyro) != 3:
-            raise UsageError(
-                f"{path}: a ULog has no topic for the {len(sensor.gyro)} gyros of {sensor.name};"
-                " write .csv"
-            )
-        topics.append(_triad(GYRO, number, sensor, sensor.gyro))
-        if len(sensor.accelerometer) == 3:
-            topics.append(_triad(ACCELEROMETER, number, sensor, sensor.accelerometer))
+    for number, gyro in triads.items():
+        topics.append(_triad(GYRO, number, gyro.stream, gyro.rate_rad_s))
+        sensed = _accelerometer(recording, gyro)
+        if sensed is not None:
+            forces = np.column_stack([sensed.columns[name] for name in sensed.accelerometer])
+            topics.append(_triad(ACCELEROMETER, number, sensed, forces))
     topics += [topic for s in recording.streams if (topic := _attitude(s)) is not None]
-    topics += _regular(recording, sensors)
+    topics += _regular(recording, [gyro.stream for gyro in triads.values()])
     info = {"sys_name": "fdilog"} | {
         k: v for k, v in (recording.vehicle or {}).items() if k.isidentifier()
     }
@@ -151,9 +151,16 @@ def _interleaved(parts: list[NDArray[Any]]) -> bytes:
     return data.tobytes()
 
 
-def _triad(form: str, number: int, sensor: Stream, axes: Sequence[str]) -> Topic:
+def _accelerometer(recording: Recording, gyro: Gyro) -> Stream | None:
+    """Find the readings of the accelerometer in a gyro's device, its own stream's first."""
+    sensor = gyro.stream.sensor
+    same = [s for s in recording.streams if sensor is not None and s.sensor == sensor]
+    return next((s for s in (gyro.stream, *same) if len(s.accelerometer) == 3), None)
+
+
+def _triad(form: str, number: int, sensor: Stream, readings: NDArray[Any]) -> Topic:
     time_us = sensor.time_ns // 1000
-    fields = {axis: sensor.columns[name] for axis, name in zip("xyz", axes, strict=True)}
+    fields = dict(zip("xyz", readings.T, strict=True))
     fields["timestamp"] = fields["timestamp_sample"] = time_us
     fields["temperature"] = sensor.columns.get("temperature", np.full(len(time_us), np.nan))
     return Topic(

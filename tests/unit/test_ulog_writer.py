@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fdilog.config import Config
-from fdilog.errors import UsageError
+from fdilog.config import Config, GyroSource
+from fdilog.errors import NoGyroError, UsageError
+from fdilog.faults import Fault
+from fdilog.injection import inject
 from fdilog.recording import Recording
+from fdilog.registry import read
 from fdilog.simulate import simulate
 from fdilog.sources import choose
+from fdilog.writing import write, write_injected
 from fdilog_readers import ulog, ulog_writer
 from tests.ulog_oracle import official
 
@@ -82,3 +86,128 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one", "two"):
         ulog_writer.write(recorded(), tmp_path / name)
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+def logged_twice() -> Recording:
+    """Three sensors of which the second has another stream, of every reading but the first."""
+    recording = recorded()
+    second = recording.streams[1]
+    rest = replace(
+        second,
+        name="again",
+        time_ns=second.time_ns[1:],
+        columns={name: column[1:] for name, column in second.columns.items()},
+        offsets=None,
+        count=-1,
+    )
+    return replace(recording, streams=(*recording.streams, rest))
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_a_sensor_that_is_logged_twice_is_written_once(tmp_path: Path, suffix: str) -> None:
+    write(logged_twice(), tmp_path / f"flight{suffix}")
+    again = read(tmp_path / f"flight{suffix}")
+    gyros, _ = choose(again, Config())
+    assert [gyro.name for gyro in gyros] == ["imu0", "imu1", "imu2"]
+    assert len([s for s in again.streams if s.gyro and s.origin == "sensor"]) == 3
+    assert len(gyros[1].time_ns) == recorded().streams[1].count
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_a_copy_does_not_hide_the_fault_behind_another_stream_of_the_sensor(
+    tmp_path: Path, suffix: str
+) -> None:
+    silent = Fault(kind="dropout", channel="imu1", start_s=2.0, end_s=4.0)
+    injection = inject(logged_twice(), [silent])
+    write_injected(injection, tmp_path / "flight.csv", tmp_path / f"copy{suffix}")
+    gyros = choose(read(tmp_path / f"copy{suffix}"), Config())[0]
+    assert injection.changes[0].removed.sum() > 40
+    assert len(gyros[1].time_ns) == len(gyros[0].time_ns) - injection.changes[0].removed.sum()
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_sensors_keep_their_numbers_when_one_is_missing(tmp_path: Path, suffix: str) -> None:
+    recording = recorded()
+    first, _, third, *others = recording.streams
+    write(replace(recording, streams=(first, third, *others)), tmp_path / f"flight{suffix}")
+    gyros = choose(read(tmp_path / f"flight{suffix}"), Config())[0]
+    assert [gyro.name for gyro in gyros] == ["imu0", "imu2"]
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_what_the_autopilot_selected_is_written_where_nothing_else_was_logged(
+    tmp_path: Path, suffix: str
+) -> None:
+    recording = recorded(1)
+    chosen = replace(recording.streams[0], origin="selected", sensor=None)
+    write(replace(recording, streams=(chosen,)), tmp_path / f"flight{suffix}")
+    (gyro,) = choose(read(tmp_path / f"flight{suffix}"), Config())[0]
+    sent = np.column_stack([chosen.columns[name] for name in chosen.gyro])
+    assert gyro.name == "imu0"
+    assert np.abs(gyro.rate_rad_s - sent).max() <= 0.5001e-3
+
+
+@pytest.mark.parametrize("suffix", [".ulg", ".tlog"])
+def test_a_log_without_a_gyro_is_refused(tmp_path: Path, suffix: str) -> None:
+    recording = recorded(1)
+    with pytest.raises(NoGyroError, match="no gyro channels"):
+        write(replace(recording, streams=recording.streams[-1:]), tmp_path / f"flight{suffix}")
+    assert not (tmp_path / f"flight{suffix}").exists()
+
+
+def test_an_accelerometer_in_a_stream_of_its_own_stays_beside_its_gyro(tmp_path: Path) -> None:
+    recording = recorded(1)
+    both, *others = recording.streams
+    apart = (replace(both, accelerometer=()), replace(both, name="forces", gyro=()))
+    write(replace(recording, streams=(*apart, *others)), tmp_path / "flight.ulg")
+    sent = official(tmp_path / "flight.ulg")["sensor_accel", 0]
+    for axis, name in zip("xyz", both.accelerometer, strict=True):
+        assert np.array_equal(sent[axis], both.columns[name].astype(np.float32))
+
+
+def test_readings_that_a_sensor_never_tells_keep_no_rate_back_in_a_tlog(tmp_path: Path) -> None:
+    recording = recorded(1)
+    first = recording.streams[0]
+    first.columns["temperature"][:] = np.nan
+    write(recording, tmp_path / "flight.tlog")
+    (gyro,) = choose(read(tmp_path / "flight.tlog"), Config())[0]
+    assert len(gyro.time_ns) == first.count
+
+
+def test_a_tlog_in_which_no_reading_would_be_whole_is_refused(tmp_path: Path) -> None:
+    recording = recorded(1)
+    recording.streams[0].columns["gyro_x"][:] = np.nan
+    with pytest.raises(UsageError, match="no message of imu0"):
+        write(recording, tmp_path / "flight.tlog")
+    assert not (tmp_path / "flight.tlog").exists()
+
+
+def test_a_fault_of_a_source_that_the_configuration_describes_is_in_the_copy(
+    tmp_path: Path,
+) -> None:
+    recording = recorded(2)
+    second = recording.streams[1]
+    left = GyroSource(name="left", topic=second.name, fields=second.gyro, unit="rad/s")
+    config = Config(sources=replace(Config().sources, gyro=(left,)))
+    bias = Fault(kind="bias", channel="left.y", start_s=2.0, end_s=4.0, size=0.125)
+    write_injected(
+        inject(recording, [bias], config=config), tmp_path / "flight.csv", tmp_path / "copy.ulg"
+    )
+    after = choose(read(tmp_path / "copy.ulg"), Config())[0][1].rate_rad_s
+    apart = after - np.column_stack([second.columns[name] for name in second.gyro])
+    assert (np.abs(apart) > 1e-3).any(axis=0).tolist() == [False, True, False]
+    assert apart.max() == pytest.approx(0.125, abs=1e-6)
+
+
+def test_a_fault_that_no_gyro_of_the_copy_would_hold_is_refused(tmp_path: Path) -> None:
+    recording = recorded(2)
+    second = replace(recording.streams[1], gyro=(), sensor=None)
+    streams = (recording.streams[0], second, *recording.streams[2:])
+    fields = recording.streams[1].gyro
+    left = GyroSource(name="left", topic=second.name, fields=fields, unit="rad/s")
+    config = Config(sources=replace(Config().sources, gyro=(left,)))
+    bias = Fault(kind="bias", channel="left.y", start_s=2.0, end_s=4.0, size=0.125)
+    injection = inject(replace(recording, streams=streams), [bias], config=config)
+    with pytest.raises(UsageError, match="would not hold imu1, where the fault is"):
+        write_injected(injection, tmp_path / "flight.csv", tmp_path / "copy.ulg")
+    assert not (tmp_path / "copy.ulg").exists()
