@@ -73,6 +73,9 @@ class Evidence:
         For each window, what a finding of it should say. Empty if there is nothing to say.
     note
         What a reader should know of the answer as a whole: a condition that was not met.
+    least : (n_windows, n_channels) or None
+        Smallest error that healthy channels surely never have in any window of a flight, where that
+        is a condition beside the interval; infinite where nothing is known. [rad/s]
     """
 
     detector: str
@@ -87,6 +90,7 @@ class Evidence:
     beside: tuple[tuple[str, ...], ...] = ()
     details: tuple[str, ...] = ()
     note: str = ""
+    least: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

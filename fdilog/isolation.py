@@ -92,6 +92,8 @@ class Answer:
         Tolerance for that error, wider while the rate is high. [rad/s]
     accused : (n, k) int8
         As in `fdilog.finding.Evidence`.
+    doubt : (n, k) or None
+        Half-width of the interval at the family-wise confidence. [rad/s]
     """
 
     tested: NDArray[np.bool_]
@@ -99,6 +101,7 @@ class Answer:
     high: Floats
     tolerance: Floats
     accused: NDArray[np.int8]
+    doubt: Floats | None = None
 
     @classmethod
     def of(cls, comparison: Comparison) -> Answer:
@@ -110,6 +113,7 @@ class Answer:
             high=np.where(comparison.tested, comparison.error + comparison.half_width, np.inf),
             tolerance=comparison.tolerance.copy(),
             accused=np.zeros(shape, np.int8),
+            doubt=np.where(comparison.tested, comparison.doubt, np.inf),
         )
 
 
@@ -417,7 +421,9 @@ def comparative_evidence(detector: str, survey: Survey, answers: Sequence[Answer
         tolerance=np.full(shape, np.nan),
         accused=np.zeros(shape, np.int8),
         confidence=survey.config.windows.confidence,
+        least=np.full(shape, np.inf) if all(a.doubt is not None for a in answers) else None,
     )
+    healthy = np.radians(survey.config.noise.bias_sigma_deg_s)
     for moments, answer in zip(survey.moments, answers, strict=True):
         place = np.ix_(moments.windows, np.array(moments.channels))
         # Suspects of one block are not those of another, whatever number they carry.
@@ -426,4 +432,6 @@ def comparative_evidence(detector: str, survey: Survey, answers: Sequence[Answer
         evidence.tested[place] = answer.tested
         evidence.low[place], evidence.high[place] = answer.low, answer.high
         evidence.tolerance[place] = answer.tolerance
+        if evidence.least is not None and answer.doubt is not None:
+            evidence.least[place] = healthy + answer.doubt
     return evidence

@@ -3,7 +3,8 @@
 A log of one reading a second shows no fault of a tenth of a second, however large, and a log whose
 gyros disagree by half a degree per second anyway shows no tenth of a degree. What it would have
 shown follows from the intervals that its windows gave: an error is called a failure where its whole
-interval lies beyond the tolerance, so in half of the windows from tolerance plus half-width on.
+interval lies beyond the tolerance, and where chance gives it in no window of a flight. A fault must
+fill a window, wherever it begins.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from fdilog.table import ChannelTable
 
 FEWEST_READINGS = 2
 """An error that leaves one reading is an outlier, and no constant error yet."""
+FULL_SCALE_RAD_S = float(np.radians(2000.0))
+"""Of usual gyros: an error beyond it cannot be read, whatever windows would show of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +31,9 @@ class RevealedBias:
     Parameters
     ----------
     bias_rad_s
-        Tolerance plus median half-width of the intervals, the largest of the group's channels;
-        None where most windows do not bound them. [rad/s]
+        Tolerance plus half-width of the intervals, or what chance gives if that is more, the median
+        of them, of the worst of the group's channels; None where most windows do not bound them,
+        or beyond full scale only. [rad/s]
     """
 
     length_s: float
@@ -99,5 +103,8 @@ def _bias(item: Evidence, columns: list[int]) -> float | None:
         if rows.any():
             half = (item.high[rows, k] - item.low[rows, k]) / 2.0
             half = np.where(np.isfinite(half), half, np.inf)
-            least.append(float(np.median(item.tolerance[rows, k] + half)))
-    return max(least) if least and np.isfinite(max(least)) else None
+            shown = item.tolerance[rows, k] + half
+            if item.least is not None:
+                shown = np.maximum(shown, item.least[rows, k])
+            least.append(float(np.median(shown)))
+    return max(least) if least and max(least) <= FULL_SCALE_RAD_S else None

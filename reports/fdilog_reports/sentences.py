@@ -341,14 +341,17 @@ def limits(analysis: Analysis) -> list[str]:
     everywhere = [length for length, found in sorted(sizes.items()) if len(found) == len(bounded)]
     # What lasts long shows in the short windows that it fills as well.
     least = [min(max(sizes[one]) for one in everywhere[: k + 1]) for k in range(len(everywhere))]
+    # Windows advance by a part of their length: what lasts so much longer fills one for sure.
+    longer = 2.0 - analysis.config.windows.overlap
     shown_from: dict[str, float] = {}
-    for size, length in [*zip(least, everywhere, strict=True)][:: max(1, len(least) - 1)]:
-        shown_from.setdefault(figure(DEG_PER_RAD * size, 2), length)
+    told = [*zip(least, everywhere, strict=True)]
+    for size, length in [*told[:2], *told[2:][-1:]]:
+        shown_from.setdefault(figure(DEG_PER_RAD * size, 2), longer * length)
     parts = [
         f"from {size} deg/s on if it lasts {figure(length)} s"
         for size, length in shown_from.items()
     ]
-    shortest = figure(max(group.shortest_s or 0.0 for group in bounded))
+    shortest = figure(longer * max(group.shortest_s or 0.0 for group in bounded))
     rate = figure(min(group.rate_hz for group in bounded))
     shows = f"a constant error shows {', or '.join(parts)}; " if parts else ""
     return [f"Logged at {rate} Hz, {shows}what lasts less than {shortest} s can pass unseen."]

@@ -76,7 +76,7 @@ def test_the_report_of_a_slow_log_says_what_its_rate_can_reveal(slow: Analysis) 
     (sentence,) = limits(slow)
     largest = max(degrees(size_at(group, FAULT_S)) for group in revealed(slow.table, slow.evidence))
     assert sentence.startswith("Logged at 2 Hz, a constant error shows from ")
-    assert f"{largest:.2g} deg/s on if it lasts 60 s" in sentence
+    assert f"{largest:.2g} deg/s on if it lasts 90 s" in sentence
     assert sentence in render(slow)
     assert sentence not in render(analysed(100.0, seconds=20.0))
 
