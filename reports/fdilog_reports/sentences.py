@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Finding, Size
+from fdilog.revealed import FEWEST_READINGS
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
@@ -359,8 +360,8 @@ def limits(analysis: Analysis) -> list[str]:
 
 def is_slow(analysis: Analysis) -> bool:
     """Whether the log is too slow for the shortest windows that were asked for."""
-    shortest = [group.shortest_s for group in analysis.revealed]
-    return any(one is None or one > min(analysis.config.windows.lengths_s) for one in shortest)
+    shortest_s = min(analysis.config.windows.lengths_s)
+    return any(group.rate_hz * shortest_s < FEWEST_READINGS for group in analysis.revealed)
 
 
 def _sharpness(analysis: Analysis) -> list[str]:
