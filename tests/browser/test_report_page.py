@@ -148,7 +148,7 @@ def test_a_link_to_a_finding_leads_to_it_and_its_link_to_its_plots(
         top = page.locator("#finding-2").bounding_box()["y"]
         assert 0 <= top < DESKTOP["height"] / 2
         page.click("#finding-2 [data-finding]")
-        page.wait_for_function("document.getElementById('moment').textContent.includes('87.50 s')")
+        page.locator("#moment", has_text="87.50 s").wait_for()
         assert page.evaluate(RANGES)[0] == pytest.approx([87.5, 102.5])
         assert 0 <= page.locator(".linked-group").first.bounding_box()["y"] < 100
 
