@@ -8,7 +8,7 @@ others are taken out (`fdilog.prediction`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import ClassVar
@@ -84,11 +84,12 @@ class NoiseDetector:
             if not len(peers):
                 continue
             rows = _told(deviation, [channel, *peers])
-            spread = partial(_window_sigmas, survey=survey, rows=rows)
-            mine = spread(deviation[rows, channel], least=rounding[channel])
-            others = [spread(deviation[rows, k], least=rounding[k]) for k in peers]
+            at_least = partial(_window_sigmas, survey=survey, rows=rows, of_both=np.minimum)
+            at_most = partial(_window_sigmas, survey=survey, rows=rows, of_both=np.maximum)
+            mine = at_least(deviation[rows, channel], least=rounding[channel])
+            others = [at_most(deviation[rows, k], least=rounding[k]) for k in peers]
             theirs = np.sqrt(np.mean(np.square(others), axis=0))
-            alone = spread(own[rows, channel], least=rounding[channel])
+            alone = at_least(own[rows, channel], least=rounding[channel])
             counts = _window_counts(survey, rows)
             logged = _ratio(survey, counts, mine, theirs)
             found = logged.beyond & (mine > least)
@@ -191,11 +192,18 @@ def _rounding(table: ChannelTable) -> Floats:
     return ROUNDING * np.array([channel.step_rad_s for channel in table.channels])
 
 
-def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64], least: float) -> Floats:
+def _window_sigmas(
+    values: Floats,
+    survey: Survey,
+    rows: NDArray[np.int64],
+    of_both: Callable[[Floats, Floats], Floats],
+    least: float,
+) -> Floats:
     """Sigma in every window of values given at some samples, about zero, what is far off capped.
 
-    What is far off is told by the readings around: the median of a window that holds both rest and
-    flight may be that of either.
+    What is far off is told by the median of the window, and again by those of its pieces: of a
+    window that holds both rest and flight the median may be that of either, and noise in a part of
+    a window is no noise of the window. The smaller or the larger answer is taken.
     """
     first = np.searchsorted(rows, survey.windows.start)
     counts = _window_counts(survey, rows)
@@ -207,8 +215,10 @@ def _window_sigmas(values: Floats, survey: Survey, rows: NDArray[np.int64], leas
         pieces = int(count) // FEWEST_SAMPLES
         told = int(count) // pieces * pieces
         for block in np.array_split(here, 1 + len(here) * int(count) // BLOCK_READINGS):
-            even = view[first[block], :told].reshape(len(block), pieces, -1)
-            sigmas[block] = np.sqrt((capped_sigma(even, least) ** 2).mean(axis=1))
+            readings = view[first[block]]
+            even = readings[:, :told].reshape(len(block), pieces, -1)
+            by_piece = np.sqrt((capped_sigma(even, least) ** 2).mean(axis=1))
+            sigmas[block] = of_both(by_piece, capped_sigma(readings, least))
     return sigmas
 
 
