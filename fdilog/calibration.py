@@ -116,20 +116,23 @@ def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
     full = (share > 0.0) & (share >= PRESENT * usual)
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.where(full, np.add.reduceat(filled, start, axis=0) / count, np.nan)
-    return means, _least_squares(means, np.isfinite(means), table.axes)
+    rates, told = _least_squares(means, np.isfinite(means), table.axes)
+    return means, np.where(told[:, None], rates, np.nan)
 
 
-def _least_squares(readings: Floats, valid: NDArray[np.bool_], axes: Floats) -> Floats:
-    """Body rates by least squares from the channels recorded, (n, 3); NaN if they are too few."""
-    rates = np.full((len(readings), 3), np.nan)
+def _least_squares(
+    readings: Floats, valid: NDArray[np.bool_], axes: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Body rates by least squares from the channels recorded, (n, 3), and whether they tell all."""
+    rates = np.zeros((len(readings), 3))
+    told = np.zeros(len(readings), bool)
     whole = valid.all(axis=1)
     for pattern in [np.ones(len(axes), bool), *np.unique(valid[~whole], axis=0)]:
-        if np.linalg.matrix_rank(axes[pattern]) == 3:
-            rows = np.flatnonzero(whole if pattern.all() else (valid == pattern).all(axis=1))
-            rates[rows] = readings[np.ix_(rows, np.flatnonzero(pattern))] @ (
-                np.linalg.pinv(axes[pattern]).T
-            )
-    return rates
+        rows = np.flatnonzero(whole if pattern.all() else (valid == pattern).all(axis=1))
+        here = readings[rows] if pattern.all() else readings[rows][:, pattern]
+        rates[rows] = here @ np.linalg.pinv(axes[pattern]).T
+        told[rows] = pattern.any() and np.linalg.matrix_rank(axes[pattern]) == 3
+    return rates, told
 
 
 def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, NDArray[np.bool_]]:
@@ -200,15 +203,8 @@ def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
     """
     if not error_per_rate.any():
         return table
-    complete = table.valid.all(axis=1)
-    filled = np.where(table.valid, table.rate_rad_s, 0.0)
-    rates = filled @ np.linalg.pinv(table.axes).T
-    for pattern in np.unique(table.valid[~complete], axis=0):
-        rows = np.flatnonzero((table.valid == pattern).all(axis=1))
-        rates[rows] = (
-            filled[np.ix_(rows, np.flatnonzero(pattern))] @ np.linalg.pinv(table.axes[pattern]).T
-        )
-    apart = np.where(table.valid, np.abs(filled - rates @ table.axes.T), 0.0)
+    rates, _ = _least_squares(table.rate_rad_s, table.valid, table.axes)
+    apart = np.where(table.valid, np.abs(table.rate_rad_s - rates @ table.axes.T), 0.0)
     far = np.flatnonzero((apart > FAR).any(axis=1))
     rates[far] = _middlemost(table, far, rates[far])
     rate = table.rate_rad_s - rates @ error_per_rate.T
