@@ -322,18 +322,15 @@ def judge(
     progress("mounting")
     mounted = mountings(table, one_frame=witness is None or witness.one_frame)
     table = turned_back(table, mounted.found)
-    gyros = table.gyros
-    whole = Survey(
-        table=gyros,
-        windows=spans(gyros, np.array([0]), np.array([len(gyros.time_s)])),
-        config=config,
-    )
+    gyros = heard = table.gyros
+    whole = spans(gyros, np.array([0]), np.array([len(gyros.time_s)]))
     alone: list[Evidence] = []
     for name, detector in chosen:
         if detector.stage == "alone":
             progress(name)
-            alone.extend(detector.detect(whole))
-    heard = without(gyros, alone)
+            found = detector.detect(Survey(table=heard, windows=whole, config=config))
+            heard = without(heard, found)
+            alone.extend(found)
     testified = with_derived(heard, table)
     if witness is not None:
         heard = testified.columns(compared_channels(testified))

@@ -32,8 +32,9 @@ LONGEST_STILL_S = 10.0
 # Full scales of MEMS gyros, by their data sheets; trimmed sensitivities move them by a few percent.
 FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 FULL_SCALE_MARGIN = 0.03
-# A turn of the vehicle moves more gyros than one.
+# A turn of the vehicle moves more gyros than one, for more readings than a glitch or two.
 FEWEST_MOVING = 2
+MOST_GLITCHES = 5
 # What moves by fewer steps than this may rest within one step of a coarser gyro.
 MOVING_STEPS = 4.0
 
@@ -164,12 +165,13 @@ def _others_move(
 
 
 def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:
-    """Range of the middle nine tenths of a channel's readings. [rad/s]"""
+    """Range of a channel's readings but the few furthest off at either end. [rad/s]"""
     readings = table.rate_rad_s[start:stop, channel][table.valid[start:stop, channel]]
+    few = min(len(readings) // 20, MOST_GLITCHES)
     if not len(readings):
         return 0.0
-    low, high = np.quantile(readings, [0.05, 0.95])
-    return float(high - low)
+    ordered = np.partition(readings, [few, len(readings) - 1 - few])
+    return float(ordered[len(readings) - 1 - few] - ordered[few])
 
 
 def _evidence(kind: Kind, table: ChannelTable, runs: list[tuple[int, int, int]]) -> Evidence:

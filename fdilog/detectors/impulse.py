@@ -173,23 +173,24 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     """List the samples of one channel that stand out alone."""
     channel = int(axis.channels[place])
     alone = _alone(table, axis, place, config)
-    limit = float(np.radians(config.tolerance.impulse_deg_s)) * (ALONE_FACTOR if alone else 1.0)
+    too_slow = table.channels[channel].rate_hz * MANOEUVRE_S < READINGS_A_MANOEUVRE
     off, level = axis.off[:, place], axis.level[:, place]
     size = np.abs(off)
-    too_slow = table.channels[channel].rate_hz * MANOEUVRE_S < READINGS_A_MANOEUVRE
-    if not len(size) or size.max() <= limit or (alone and too_slow):
+    limit = np.where(alone, ALONE_FACTOR, 1.0) * np.radians(config.tolerance.impulse_deg_s)
+    asked = table.valid[:, channel] & ~(alone & too_slow)
+    if not (asked & (size > limit)).any():
         return []
-    peaks = np.flatnonzero(table.valid[:, channel] & (size > level))
-    peaks = peaks[~_confirmed(table, axis, place, peaks, alone)]
+    peaks = np.flatnonzero(asked & (size > level))
+    peaks = peaks[~_confirmed(table, axis, place, peaks, alone[peaks])]
     least = _least_levels(size[peaks] / level[peaks], table, config) * level[peaks]
-    at = peaks[size[peaks] > np.maximum(limit, least)]
+    at = peaks[size[peaks] > np.maximum(limit[peaks], least)]
     rows = np.flatnonzero(table.valid[:, channel])
     here = np.searchsorted(rows, at)
     # Both neighbours are there: the deviation of the first and the last reading is zero.
     highest = size[at] >= np.maximum(size[rows[here - 1]], size[rows[here + 1]])
     returned = _returned(table, axis, place, rows, here) <= RETURNED * size[at]
     doubt_s = TIMING_SIGMAS * config.noise.time_sigma_s
-    tolerance = np.hypot(limit, _mistimed(table, axis, place, at, doubt_s))
+    tolerance = np.hypot(limit[at], _mistimed(table, axis, place, at, doubt_s))
     at = at[highest & returned & (size[at] > tolerance)]
     # An impulse stands in what is expected of the others too, and who is off is the likeliest.
     mine = axis.strangeness(place, at)
@@ -202,17 +203,22 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     ]
 
 
-def _alone(table: ChannelTable, axis: _Axis, place: int, config: Config) -> bool:
-    """Tell whether no other gyro of the axis was read at the same instants as a channel."""
+def _alone(table: ChannelTable, axis: _Axis, place: int, config: Config) -> NDArray[np.bool_]:
+    """Tell at which samples no other gyro of the axis was read at the same instant, (n_samples,)."""
     apart_s = np.array([table.channels[channel].apart_s for channel in axis.channels])
     together = apart_s <= TIMING_SIGMAS * config.noise.time_sigma_s
-    return not together[place] or together.sum() == 1
+    others = np.delete(axis.channels, place)[np.delete(together, place)]
+    return ~(table.valid[:, others].any(axis=1) & together[place])
 
 
 def _confirmed(
-    table: ChannelTable, axis: _Axis, place: int, peaks: NDArray[np.int64], alone: bool
+    table: ChannelTable,
+    axis: _Axis,
+    place: int,
+    peaks: NDArray[np.int64],
+    alone: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Tell which peaks of a channel some other channel confirms."""
+    """Tell which peaks of a channel, some of them read alone, another channel confirms."""
     size = np.abs(axis.off[peaks, place])
     left = np.abs(np.delete(axis.without(place, peaks), place, axis=1))
     confirmed = np.asarray((left > CONFIRMED * size[:, None]).any(axis=1), bool)
@@ -232,8 +238,8 @@ def _confirmed(
             if other in axis.channels:
                 beyond = most > CONFIRMING_LEVELS_ON_AXIS * level
                 confirmed |= beyond & (most > CONFIRMED * size)
-        elif alone:
-            confirmed |= most > CONFIRMED * size
+        else:
+            confirmed |= alone & (most > CONFIRMED * size)
     return confirmed
 
 
