@@ -325,7 +325,9 @@ def judge(
     gyros = heard = table.gyros
     whole = spans(gyros, np.array([0]), np.array([len(gyros.time_s)]))
     alone: list[Evidence] = []
-    for name, detector in chosen:
+    # In the order of their names, whatever was asked for: what is silent (dropout) or repeats
+    # itself (flatline) confirms no impulse.
+    for name, detector in sorted(chosen, key=lambda each: each[0]):
         if detector.stage == "alone":
             progress(name)
             found = detector.detect(Survey(table=heard, windows=whole, config=config))
@@ -353,7 +355,7 @@ def judge(
     findings = [
         *mounting_findings(table, mounted.found),
         *of.self_evident_findings(gyros, alone),
-        *of.noise_findings(heard, noisy),
+        *of.noise_findings(heard, noisy, biased),
         *of.guaranteed_findings(heard, sampled, biased, config),
     ]
     findings = with_disagreement(sound.gyros, heard.gyros, findings, config)

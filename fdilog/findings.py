@@ -17,6 +17,12 @@ from fdilog.table import ChannelTable
 REJOINED_S = 1.0
 # Vibration changes with the throttle, within seconds.
 SHAKING_S = 1.0
+# Turns that are too fast for a gyro and no further apart than this are told as one. [s]
+TURNS_S = 60.0
+# What covers so much of a finding, or of a flight, explains it.
+MOST = 0.5
+# What is so much quieter than the rest of a noisy span is no part of it.
+MUCH_QUIETER = 2.0
 # The change points of variance and the variances about them settle within this.
 ROUNDS = 5
 _WORDS: dict[Kind, str] = {
@@ -28,8 +34,16 @@ _WORDS: dict[Kind, str] = {
 }
 
 
-def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
-    """Turn evidence of excess noise into findings, their edges those of the noise itself."""
+def noise_findings(
+    table: ChannelTable, evidence: Sequence[Evidence], known: Sequence[Finding]
+) -> list[Finding]:
+    """Turn evidence of excess noise into findings, their edges those of the noise itself.
+
+    Parameters
+    ----------
+    known
+        What is wrong with the rates themselves: noise that a scale error explains is none.
+    """
     from fdilog.detectors.excess_noise import noise_peers, shown_noise
 
     said = [accusation for item in evidence for accusation in accusations(item)]
@@ -48,18 +62,32 @@ def noise_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Fi
         shaking = _shaking(table, deviation[rows][:, peers])
         low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, size.estimate)
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
-        findings.append(
-            Finding(
-                kind="noise",
-                suspects=(table.names[channel],),
-                start_s=float(table.time_s[start]),
-                end_s=float(table.time_s[stop - 1]),
-                size=_ratio(evidence, channel, start, stop),
-                detectors=tuple(sorted({member.detector for member in cluster.members})),
-                detail="noisier than the other gyros that sense its axis, or than it usually is",
-            )
+        found = Finding(
+            kind="noise",
+            suspects=(table.names[channel],),
+            start_s=float(table.time_s[start]),
+            end_s=float(table.time_s[stop - 1]),
+            size=_ratio(evidence, channel, start, stop),
+            detectors=tuple(sorted({member.detector for member in cluster.members})),
+            detail="noisier than the other gyros that sense its axis, or than it usually is",
         )
+        compared = {channel, *(peers if len(peers) == 1 else ())}
+        names = {table.names[k] for k in compared}
+        scales = [one for one in known if one.kind == "scale" and names & set(one.suspects)]
+        if not any(_of_scale(found, one, table.duration_s) for one in scales):
+            findings.append(found)
     return findings
+
+
+def _of_scale(noise: Finding, scale: Finding, flight_s: float) -> bool:
+    """Tell whether a scale error of a gyro, or of its only peer, is what noise of it looks like.
+
+    A gyro that shows a fifth of all rates shows a fifth of the vibration, and one that does so for
+    most of the flight leaves what is usual unknown.
+    """
+    together_s = min(noise.end_s, scale.end_s) - max(noise.start_s, scale.start_s)
+    length_s = noise.end_s - noise.start_s
+    return together_s >= MOST * length_s or scale.end_s - scale.start_s >= MOST * flight_s
 
 
 def _shaking(table: ChannelTable, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -92,11 +120,15 @@ def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) ->
     from fdilog.detectors.excess_noise import CAP, FEWEST_SAMPLES, capped_sigma
 
     span = (int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1])))
+    pieces = np.array_split(size, max(1, len(size) // FEWEST_SAMPLES))
+    quietest = min(float(capped_sigma(piece)) for piece in pieces)
     for _ in range(ROUNDS):
         loud = float(capped_sigma(size[span[0] : span[1]]))
         sides = [side for side in (size[: span[0]], size[span[1] :]) if len(side) >= FEWEST_SAMPLES]
-        # Before and after may differ, in flight and landed; noise is what is above both.
-        quiet = max((float(capped_sigma(side)) for side in sides), default=loud / ratio)
+        # Before and after may differ, in flight and landed; noise is what is above both. Where
+        # the span reaches too far on either side, the quiet is within.
+        within = max(loud / ratio, quietest if MUCH_QUIETER * quietest < loud else 0.0)
+        quiet = max((float(capped_sigma(side)) for side in sides), default=within)
         if not 0.0 < quiet < loud:
             break
         # Log likelihood ratio of the two variances; a few readings of a crash count like others.
@@ -207,20 +239,41 @@ def _guaranteed(table: ChannelTable, evidence: Evidence, cluster: Cluster) -> Fi
 
 
 def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
-    """Turn evidence of detectors that need no comparison into findings, one a channel and run."""
+    """Turn evidence of detectors that need no comparison into findings.
+
+    There is one a channel and run, and one for all the turns of some minutes that were too fast.
+    """
+    said = [(item, accusation) for item in evidence for accusation in accusations(item)]
+    clipped = [accusation for _, accusation in said if accusation.kind == "saturated"]
     return [
         Finding(
-            kind=said.kind,
-            suspects=tuple(table.names[channel] for channel in sorted(said.suspects)),
-            start_s=float(table.time_s[said.start]),
-            end_s=float(table.time_s[said.stop - 1]),
-            size=_own_size(item, said),
-            detectors=(said.detector,),
-            detail=_WORDS.get(said.kind, ""),
+            kind=one.kind,
+            suspects=tuple(table.names[channel] for channel in sorted(one.suspects)),
+            start_s=float(table.time_s[one.start]),
+            end_s=float(table.time_s[one.stop - 1]),
+            size=_own_size(item, one),
+            detectors=(one.detector,),
+            detail=_WORDS.get(one.kind, ""),
         )
-        for item in evidence
-        for said in accusations(item)
-    ]
+        for item, one in said
+        if one.kind != "saturated"
+    ] + [_saturation(table, cluster) for cluster in clusters(table.time_s, clipped, TURNS_S)]
+
+
+def _saturation(table: ChannelTable, turns: Cluster) -> Finding:
+    """Make one finding of the turns that were too fast for a gyro."""
+    time_s = np.append(table.time_s, table.time_s[-1] + table.period_s)
+    held_s = sum(float(time_s[one.stop] - time_s[one.start]) for one in turns.members)
+    times = f"{len(turns.members)} times, " if len(turns.members) > 1 else ""
+    return Finding(
+        kind="saturated",
+        suspects=tuple(table.names[channel] for channel in sorted(turns.suspects)),
+        start_s=float(table.time_s[turns.start]),
+        end_s=float(table.time_s[turns.stop - 1]),
+        size=None,
+        detectors=tuple(sorted({one.detector for one in turns.members})),
+        detail=f"{_WORDS['saturated']}; {times}{held_s:.3g} s in all",
+    )
 
 
 def _own_size(evidence: Evidence, said: Accusation) -> Size | None:

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 Stage = Literal["alone", "samples", "windows", "model"]
 """What a detector is shown: the whole table, to judge each channel by itself, before the others are
-compared; every sample as a window of its own; the windows of each configured length; or the whole
-table with the signals that a model of the vehicle needs."""
+compared, without what those of this stage accused whose names come before its own; every sample as
+a window of its own; the windows of each configured length; or the whole table with the signals that
+a model of the vehicle needs."""
 
 
 class Reader(Protocol):

@@ -192,11 +192,12 @@ def _answer(moments: Moments, means: _Segments, survey: Survey, evidence: Eviden
     family = family_wise_confidence(config, survey.windows.length_s, k)
     rows = np.arange(len(moments.windows))
     nobody = list(_all_slopes(means, axes, (), rows, config))
-    outside, shown = np.zeros((2, len(rows), k), bool)
+    outside, shown, moving = np.zeros((3, len(rows), k), bool)
     for channel, found in nobody:
         outside[:, channel] = found.outside(config, family)
         half = found.half_width(config.windows.confidence)
-        shown[:, channel] = found.moving & (np.abs(found.slope) > half)
+        shown[:, channel] = np.abs(found.slope) > half
+        moving[:, channel] = found.moving
         place = (moments.windows, channels[channel])
         evidence.tested[place] = found.moving
         evidence.low[place] = np.where(found.moving, 1.0 + found.slope - half, -np.inf)
@@ -217,8 +218,10 @@ def _answer(moments: Moments, means: _Segments, survey: Survey, evidence: Eviden
     least = np.where(stands, misfit, np.inf).min(axis=1, keepdims=True)
     stands &= misfit <= least + 2.0 * np.log(LEAST_ODDS)
     # Where no single scale error explains it, or where the others agree without a channel that does
-    # not read off in proportion to its rate, it is no scale error: that is for the biases.
-    told = stands.any(axis=1) & (shown[open_windows] | ~stands).all(axis=1)
+    # not read off in proportion to its rate, it is no scale error: that is for the biases. Of two
+    # gyros that check each other, the rates that one of them tells must show it.
+    told = (stands & moving[open_windows]).any(axis=1)
+    told &= (shown[open_windows] | ~stands).all(axis=1)
     hypotheses = [(channel,) for channel in range(k)]
     evidence.accused[np.ix_(moments.windows[open_windows[told]], channels)] = numbered_suspects(
         stands[told], hypotheses, k

@@ -101,6 +101,8 @@ class NoiseDetector:
             louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
             shown = logged if found.any() else grown
             found |= grown.beyond & louder.more & loudest & (alone > least)
+            if len(peers) == 1 and found.any():
+                found &= ~_peer_quieter(survey, channel, int(peers[0]))
             low[:, channel], high[:, channel] = shown.low, shown.high
             accused[:, channel] = np.where(found, channel + 1, 0)
         return [
@@ -304,19 +306,75 @@ class _Usual:
 
     def of_those(self, values: Floats, common: Floats) -> Floats:
         """Take what values of the pieces usually are while the vibration is about the same."""
-        usual = np.full(len(common), np.nan)
-        known = np.flatnonzero(common > 0.0)
-        if not len(known) or not len(self.shaking):
-            return usual
-        shaking = np.log2(common[known])
-        first = np.searchsorted(self.shaking, shaking - COMPARABLE_OCTAVES)
-        last = np.searchsorted(self.shaking, shaking + COMPARABLE_OCTAVES)
-        pairs, which = np.unique(np.column_stack([first, last]), axis=0, return_inverse=True)
-        each = np.array(
-            [np.quantile(values[a:b], USUAL) if b > a else np.nan for a, b in pairs.tolist()]
-        )
-        usual[known] = each[which]
+        return _of_comparable(self.shaking, values, common, USUAL)
+
+
+def _peer_quieter(survey: Survey, channel: int, peer: int) -> NDArray[np.bool_]:
+    """Tell in which windows a channel shows more than its only peer because that one shows less.
+
+    What the airframe shakes is told by the other axes. By that measure, and while it shakes about
+    as much, the peer has come down from what it usually shows by more than the channel has gone up,
+    and by most of what they differ by now.
+    """
+    table = survey.table
+    deviation, _ = shown_noise(table)
+    others = np.delete(np.arange(len(table.channels)), [channel, peer])
+    if not len(others):
+        return np.zeros(len(survey.windows), bool)
+    shown = deviation[:, [channel, peer, *others]]
+    rows = np.flatnonzero(np.isfinite(shown).all(axis=1))
+    shaken = np.sqrt((shown[rows, 2:] ** 2).mean(axis=1))
+    readings = np.column_stack([shown[rows, :2], shaken])
+    n = len(rows) // FEWEST_SAMPLES
+    pieces = np.abs(readings[: n * FEWEST_SAMPLES]).reshape(n, FEWEST_SAMPLES, 3)
+    sigma = capped_sigma(np.moveaxis(pieces, 1, 2))
+    rounding = _rounding(table)[[channel, peer]]
+    mine, theirs, shaking = (
+        _window_sigmas(column, survey, rows, np.minimum, least)
+        for column, least in zip(readings.T, (*rounding, 0.0), strict=True)
+    )
+    sigma = sigma[(sigma > 0.0).all(axis=1)]
+    sigma = sigma[np.argsort(sigma[:, 2])]
+    quietly, loudly = (
+        _of_comparable(np.log2(sigma[:, 2]), np.log(sigma[:, k] / sigma[:, 2]), shaking, share)
+        for k, share in ((0, USUAL), (1, 1.0 - USUAL))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        up = np.log(mine / shaking) - quietly
+        down = loudly - np.log(theirs / shaking)
+        return np.asarray(down > np.maximum(up, np.log(mine / theirs) / 2.0), bool)
+
+
+def _of_comparable(shaking: Floats, values: Floats, common: Floats, share: float) -> Floats:
+    """Take a quantile of values of pieces in which the vibration is about that of each window.
+
+    Parameters
+    ----------
+    shaking, values : (n,)
+        Logarithm of the vibration in the pieces, base two, rising, and the values there.
+    common : (n_windows,)
+        The vibration in the windows. [rad/s]
+    share
+        Which quantile. [1]
+
+    Returns
+    -------
+    usual : (n_windows,)
+        NaN where there is no such piece. [as values]
+    """
+    usual = np.full(len(common), np.nan)
+    known = np.flatnonzero(common > 0.0)
+    if not len(known) or not len(shaking):
         return usual
+    now = np.log2(common[known])
+    first = np.searchsorted(shaking, now - COMPARABLE_OCTAVES)
+    last = np.searchsorted(shaking, now + COMPARABLE_OCTAVES)
+    pairs, which = np.unique(np.column_stack([first, last]), axis=0, return_inverse=True)
+    each = np.array(
+        [np.quantile(values[a:b], share) if b > a else np.nan for a, b in pairs.tolist()]
+    )
+    usual[known] = each[which]
+    return usual
 
 
 def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:

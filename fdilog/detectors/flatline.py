@@ -5,12 +5,14 @@ A channel accuses itself here; no other gyro is needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fdilog.config import Config
 from fdilog.finding import Evidence, Kind
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
@@ -32,6 +34,11 @@ LONGEST_STILL_S = 10.0
 # Full scales of MEMS gyros, by their data sheets; trimmed sensitivities move them by a few percent.
 FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 FULL_SCALE_MARGIN = 0.03
+# A gyro that turns faster than it can tell reads the end of its range again and again: for two
+# readings or more in so many turns at least, and oftener than all the next part of its range, in
+# which a gyro that can tell reads more than at its very peaks.
+FEWEST_TURNS = 3
+BESIDE_THE_END = 0.05
 # A turn of the vehicle moves more gyros than one, for more readings than a glitch or two.
 FEWEST_MOVING = 2
 MOST_GLITCHES = 5
@@ -98,19 +105,89 @@ class FlatlineDetector:
         parts = stretches(table, survey.config)
         least_motion = float(np.radians(survey.config.tolerance.bias_deg_s))
         for channel in range(len(table.channels)):
-            for start, stop, value in _impossible_runs(table, channel, parts, least_motion):
-                found[_kind(table, channel, value)].append((start, stop, channel))
+            ends = _ends_of_range(table, channel, survey.config)
+            for start, stop in _runs_at(table, channel, ends):
+                found["saturated"].append((start, stop, channel))
+            for run in _impossible_runs(table, channel, parts, least_motion):
+                if run[2] not in ends:
+                    found[_kind(table, channel, run, survey.config)].append((*run[:2], channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
 
 
-def _kind(table: ChannelTable, channel: int, value: float) -> Kind:
-    """Name a run by its value: zero, the end of a full scale that is never exceeded, or any."""
+def _kind(table: ChannelTable, channel: int, run: tuple[int, int, float], config: Config) -> Kind:
+    """Name a run by its value: zero, the end of the range that is never exceeded, or any."""
+    start, stop, value = run
     if value == 0.0:
         return "dead"
     readings = table.rate_rad_s[table.valid[:, channel], channel]
+    sign = float(np.sign(value))
+    rows = start + np.flatnonzero(table.valid[start:stop, channel])
+    at_an_end = bool((sign * readings <= sign * value).all()) and (
+        (_is_full_scale(value) and abs(value) >= np.abs(readings).max())
+        or _others_read_further(table, channel, rows, value, config)
+    )
+    return "saturated" if at_an_end else "stuck"
+
+
+def _is_full_scale(value: float) -> bool:
     full_scale = np.radians(FULL_SCALES_DEG_S)
-    at_an_end = bool((np.abs(abs(value) / full_scale - 1.0) < FULL_SCALE_MARGIN).any())
-    return "saturated" if at_an_end and abs(value) >= np.abs(readings).max() else "stuck"
+    return bool((np.abs(abs(value) / full_scale - 1.0) < FULL_SCALE_MARGIN).any())
+
+
+def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[float]:
+    """Find the values at which a channel's readings pile up because it can tell no more. [rad/s]
+
+    What piles up at an end may also be a turn held steady, as on a rate table. So another gyro of
+    the axis must read further meanwhile, or the value be the full scale of a gyro.
+    """
+    rows = np.flatnonzero(table.valid[:, channel])
+    values = table.rate_rad_s[rows, channel]
+    start, stop = runs_of_equal(values)
+    repeated = stop - start >= 2
+    levels, which = np.unique(values[start[repeated]], return_inverse=True)
+    turns = np.bincount(which)
+    often = turns >= FEWEST_TURNS
+    if not often.any():
+        return []
+    total = np.concatenate([[0], np.cumsum(np.bincount(which, (stop - start)[repeated]))])
+    reach = levels - np.median(values)
+    step = table.channels[channel].step_rad_s
+    band = np.maximum(BESIDE_THE_END * np.abs(reach), MOVING_STEPS * step)
+    inner = np.searchsorted(levels, np.where(reach > 0.0, levels - band, levels + band), "right")
+    here = np.arange(len(levels))
+    beside = np.where(reach > 0.0, total[here] - total[inner], total[inner] - total[here + 1])
+    piled = often & (np.abs(reach) > MOVING_STEPS * step) & (np.diff(total) > beside)
+    return [
+        end
+        for end in levels[piled].tolist()
+        if _others_read_further(table, channel, rows[values == end], end, config)
+        or (_is_full_scale(end) and abs(end) >= np.abs(values).max())
+    ]
+
+
+def _others_read_further(
+    table: ChannelTable, channel: int, rows: NDArray[np.int64], value: float, config: Config
+) -> bool:
+    """Whether some gyro along a channel's axis reads surely more than this while it reads this."""
+    along = np.flatnonzero(table.along(channel))
+    same_way = np.sign(table.axes[along] @ table.axes[channel] * value)
+    beyond = same_way * table.rate_rad_s[np.ix_(rows, along)] - abs(value)
+    beyond = beyond[:, table.valid[np.ix_(rows, along)].any(axis=0)]
+    doubt = np.radians(config.tolerance.bias_deg_s) + config.tolerance.scale * abs(value)
+    return bool((np.nanmedian(beyond, axis=0) > doubt).any())
+
+
+def _runs_at(table: ChannelTable, channel: int, ends: Sequence[float]) -> list[tuple[int, int]]:
+    """List the runs of readings (first sample, one past the last) at the ends of a range."""
+    if not ends:
+        return []
+    rows = np.flatnonzero(table.valid[:, channel])
+    at = np.isin(table.rate_rad_s[rows, channel], ends)
+    start, stop = runs_of_equal(at.astype(np.float64))
+    here = at[start]
+    return [
+        (int(rows[a]), int(rows[b - 1]) + 1) for a, b in zip(start[here], stop[here], strict=True)
+    ]
 
 
 def _impossible_runs(

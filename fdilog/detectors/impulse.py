@@ -204,11 +204,11 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
 
 
 def _alone(table: ChannelTable, axis: _Axis, place: int, config: Config) -> NDArray[np.bool_]:
-    """Tell at which samples no other gyro of the axis was read at the same instant, (n_samples,)."""
+    """Tell at which samples no other gyro of the axis was read at that instant, (n_samples,)."""
     apart_s = np.array([table.channels[channel].apart_s for channel in axis.channels])
     together = apart_s <= TIMING_SIGMAS * config.noise.time_sigma_s
     others = np.delete(axis.channels, place)[np.delete(together, place)]
-    return ~(table.valid[:, others].any(axis=1) & together[place])
+    return np.asarray(~(table.valid[:, others].any(axis=1) & together[place]), bool)
 
 
 def _confirmed(

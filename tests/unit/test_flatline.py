@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,7 +13,7 @@ from fdilog.analysis import judge
 from fdilog.config import Config
 from fdilog.detectors.flatline import runs_of_equal
 from fdilog.table import ChannelTable
-from tests.tables import DEG, table_of
+from tests.tables import DEG, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity", "impulse", "flatline", "noise"))
 
@@ -60,3 +61,51 @@ def test_a_fault_of_one_gyro_is_no_motion_that_another_at_rest_should_have_shown
     rate[450:500, 0] = rate[450, 0]
     (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
     assert (finding.kind, finding.suspects) == ("stuck", ("imu0.x",))
+
+
+@pytest.mark.parametrize("size_deg_s", [6.0, 8.0])
+def test_a_gyro_that_turns_faster_than_it_can_tell_is_saturated_once(size_deg_s: float) -> None:
+    table = triads(2, seconds=80.0)
+    rate = table.rate_rad_s.copy()
+    rate[:, 0] = np.clip(rate[:, 0], -size_deg_s * DEG, size_deg_s * DEG)
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("saturated", ("imu0.x",))
+    clipped = table.time_s[np.abs(table.rate_rad_s[:, 0]) > size_deg_s * DEG]
+    assert finding.start_s == pytest.approx(float(clipped[0]), abs=0.5)
+    assert finding.end_s == pytest.approx(float(clipped[-1]), abs=0.5)
+    assert "times" in finding.detail
+
+
+def test_a_rate_table_that_stands_at_its_highest_rate_saturates_nobody() -> None:
+    time_s = np.arange(6000) / 50.0
+    plateaus = np.repeat(np.tile([0.0, 40.0, 0.0, -40.0], 5), 300) * DEG
+    noise = np.random.default_rng(5).normal(0.0, 0.02 * DEG, (6000, 6))
+    rate = np.round((plateaus[:, None] * [1.0, 0.2, 0.1, 1.0, 0.2, 0.1] + noise) / 0.001) * 0.001
+    assert judge(table_of(time_s, rate), CONFIG).findings == ()
+
+
+def test_a_short_turn_shows_that_a_gyro_repeats_itself() -> None:
+    rng = np.random.default_rng(6)
+    time_s = np.arange(6000) / 50.0
+    rate = rng.normal(0.0, 0.05 * DEG, (6000, 6))
+    turning = (time_s >= 60.0) & (time_s < 61.0)
+    rate[turning] += 30.0 * DEG * np.sin(np.pi * time_s[turning, None]) * [1, 0.5, 0.5, 1, 0.5, 0.5]
+    rate[1000:5000, 3] = rate[1000, 3]
+    (finding,) = judge(table_of(time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("stuck", ("imu1.x",))
+    assert finding.start_s == pytest.approx(20.0, abs=0.1)
+    assert finding.end_s == pytest.approx(100.0, abs=0.1)
+
+
+def test_a_gyro_that_is_stuck_is_nobodys_peer() -> None:
+    rng = np.random.default_rng(7)
+    time_s = np.arange(76) / 2.0
+    body = rng.normal(0.0, 0.3 * DEG, (76, 3))
+    body[69] = [250.0 * DEG, -190.0 * DEG, -66.0 * DEG]
+    body[70:73] = rng.normal(0.0, 60.0 * DEG, (3, 3))
+    rate = np.tile(body, (1, 2)) + rng.normal(0.0, 0.2 * DEG, (76, 6))
+    assert judge(table_of(time_s, rate), CONFIG).findings == ()
+    rate = rate.copy()
+    rate[19:75, 2] = rate[19, 2]
+    (finding,) = judge(table_of(time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("stuck", ("imu0.z",))

@@ -91,6 +91,36 @@ def test_noise_of_one_gyro_is_told_from_the_vibration_that_all_feel() -> None:
         assert finding.end_s == pytest.approx(50.0, abs=0.3)
 
 
+def test_noise_for_most_of_a_flight_begins_and_ends_where_it_does() -> None:
+    table = shaken(3)
+    rng = np.random.default_rng(9)
+    rows = (table.time_s >= 4.0) & (table.time_s < 77.0)
+    rate = table.rate_rad_s.copy()
+    rate[rows, 3] += rng.normal(0.0, 100.0 * DEG, int(rows.sum()))
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("noise", ("imu1.x",))
+    assert finding.start_s == pytest.approx(4.0, abs=0.3)
+    assert finding.end_s == pytest.approx(77.0, abs=0.3)
+
+
+@pytest.mark.parametrize("channel", [0, 3])
+@pytest.mark.parametrize("span_s", [(15.0, 40.0), (10.0, 80.0), (0.0, 90.0)])
+@pytest.mark.parametrize("factor", [0.05, 0.2])
+def test_a_gyro_that_hardly_reads_makes_no_noise_of_the_one_beside_it(
+    channel: int, span_s: tuple[float, float], factor: float
+) -> None:
+    table = shaken(2)
+    turning = 15.0 * DEG * np.sin(table.time_s[:, None] * [0.5, 0.83, 1.31] + [0.0, 1.0, 2.0])
+    rate = table.rate_rad_s + np.tile(turning, (1, 2))
+    assert judge(table_of(table.time_s, rate), CONFIG).findings == ()
+    rows = (table.time_s >= span_s[0]) & (table.time_s < span_s[1])
+    rate = rate.copy()
+    rate[rows, channel] *= factor
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert finding.kind in ("scale", "disagreement")
+    assert finding.suspects == ("imu0.x", "imu1.x")
+
+
 def test_vibration_that_swells_for_all_is_nobodys_noise() -> None:
     table = shaken(3)
     rate = table.rate_rad_s.copy()
