@@ -35,8 +35,8 @@ LONGEST_STILL_S = 10.0
 FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 FULL_SCALE_MARGIN = 0.03
 # A gyro that turns faster than it can tell reads the end of its range again and again: for two
-# readings or more in so many turns at least, and oftener than all the next part of its range, in
-# which a gyro that can tell reads more than at its very peaks.
+# readings or more in so many turns at least, and oftener than anything beyond or in the next part
+# of its range, in which a gyro that can tell reads more than at its very peaks.
 FEWEST_TURNS = 3
 BESIDE_THE_END = 0.05
 # A turn of the vehicle moves more gyros than one, for more readings than a glitch or two.
@@ -144,25 +144,26 @@ def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[fl
     values = table.rate_rad_s[rows, channel]
     start, stop = runs_of_equal(values)
     repeated = stop - start >= 2
-    levels, which = np.unique(values[start[repeated]], return_inverse=True)
-    turns = np.bincount(which)
-    often = turns >= FEWEST_TURNS
-    if not often.any():
-        return []
-    total = np.concatenate([[0], np.cumsum(np.bincount(which, (stop - start)[repeated]))])
-    reach = levels - np.median(values)
-    step = table.channels[channel].step_rad_s
-    band = np.maximum(BESIDE_THE_END * np.abs(reach), MOVING_STEPS * step)
-    inner = np.searchsorted(levels, np.where(reach > 0.0, levels - band, levels + band), "right")
-    here = np.arange(len(levels))
-    beside = np.where(reach > 0.0, total[here] - total[inner], total[inner] - total[here + 1])
-    piled = often & (np.abs(reach) > MOVING_STEPS * step) & (np.diff(total) > beside)
-    return [
-        end
-        for end in levels[piled].tolist()
-        if _others_read_further(table, channel, rows[values == end], end, config)
-        or (_is_full_scale(end) and abs(end) >= np.abs(values).max())
-    ]
+    levels, turns = np.unique(values[start[repeated]], return_counts=True)
+    below = np.cumsum(turns) - turns
+    outer = turns > np.minimum(below, turns.sum() - turns - below)
+    middle, step = float(np.median(values)), table.channels[channel].step_rad_s
+    ends = []
+    for end in levels[outer & (turns >= FEWEST_TURNS)].tolist():
+        outward = np.sign(end - middle) * (values - end)
+        band = max(BESIDE_THE_END * abs(end - middle), MOVING_STEPS * step)
+        at = np.flatnonzero(outward == 0.0)
+        within = int(((outward < 0.0) & (outward >= -band)).sum())
+        if (
+            abs(end - middle) > band
+            and len(at) > max(within, int((outward > 0.0).sum()))
+            and (
+                _others_read_further(table, channel, rows[at], end, config)
+                or (_is_full_scale(end) and abs(end) >= np.abs(values).max())
+            )
+        ):
+            ends.append(end)
+    return ends
 
 
 def _others_read_further(
