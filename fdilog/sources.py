@@ -31,6 +31,8 @@ RAD_S = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3}
 AXIS_NAMES = "xyz"
 MOST_EXPLAINED = 3
 MOST_LISTED = 20
+# A source that misses no more of a log than this may still be healthy over the whole of it.
+MOST_MISSED = 0.1
 # Two gyros differ by biases and noise of several quantisation steps: while they move, all axes of
 # two sensors are equal to the last bit by chance alone, once in hundreds of records. Those of one
 # sensor in two messages are equal unless the messages were filled a loop apart.
@@ -160,7 +162,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     return Assembly(
         table=table,
         sources=tuple(infos),
-        problems=(*problems, *_not_finite(gyros), *holes),
+        problems=(*problems, *_late_starts(gyros, base, config), *_not_finite(gyros), *holes),
         zero_ns=zero_ns,
         clocks=clocks,
         witness=witness,
@@ -587,6 +589,24 @@ def _stamp_problems(gyro: Gyro, clean: CleanStamps) -> list[Problem]:
         )
         for _, back in clean.restarts
     ]
+    return problems
+
+
+def _late_starts(gyros: Sequence[Gyro], base: TimeBase, config: Config) -> list[Problem]:
+    """List the sources that were recorded later than the others; a while is usual and only noted.
+
+    Drivers and nodes start one after another, so that it is no failure. But nobody knows what such
+    a gyro did before.
+    """
+    length_s = (int(base.time_ns[-1]) - int(base.time_ns[0])) / 1e9
+    problems = []
+    for gyro in gyros:
+        late_s = (int(gyro.time_ns[0]) - int(base.time_ns[0])) / 1e9 if len(gyro.time_ns) else 0.0
+        if late_s <= hole_threshold_s(base.period_ns / 1e9, config.tolerance.dropout_s):
+            continue
+        what = f"{gyro.stream.name}: nothing recorded before {late_s:.3f} s, while other gyros were"
+        usual = late_s <= MOST_MISSED * length_s
+        problems.append(Problem(what=what, seconds_lost=None if usual else late_s, note=usual))
     return problems
 
 

@@ -251,3 +251,19 @@ def test_large_impulses_do_not_hide_one_another_where_few_other_peaks_are() -> N
     assert {f.kind for f in findings} == {"impulse"}
     assert sorted(round(f.start_s * 50) for f in findings) == at.tolist()
     assert {f.suspects for f in findings} == {("imu0.x",)}
+
+
+@pytest.mark.parametrize(("first_s", "whole"), [(0.4, None), (5.0, True), (40.0, False)])
+def test_a_gyro_that_is_recorded_later_than_the_others_is_said_to_be(
+    first_s: float, whole: bool | None
+) -> None:
+    table = triads(2, seconds=100.0)
+    later = table.time_s >= first_s
+    sources = [
+        (table.time_s, table.rate_rad_s[:, :3]),
+        (table.time_s[later], table.rate_rad_s[later, 3:]),
+    ]
+    problems = assemble(recording(*sources), CONFIG).problems
+    said = f"imu_1: nothing recorded before {first_s:.3f} s, while other gyros were"
+    expected = [] if whole is None else [(said, whole)]
+    assert [(problem.what, problem.note) for problem in problems] == expected
