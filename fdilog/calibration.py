@@ -34,7 +34,6 @@ ROUNDS = 20
 # Of an error of a hundred times what healthy gyros are off by, a misalignment of half a degree
 # makes one on another axis. From so much on the middlemost source tells the rate. [rad/s]
 FAR = float(np.radians(10.0))
-FEWEST_SOURCES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +211,11 @@ def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
 
 
 def _middlemost(table: ChannelTable, rows: NDArray[np.int64], otherwise: Floats) -> Floats:
-    """Median of what the sources say of the body rate, (n, 3), where there are three of them."""
+    """Median of what the sources say of the body rate, (n, 3).
+
+    Of two, the one that says less, for what is far off hardly ever reads too little: rest is the
+    third opinion.
+    """
     told = []
     for source in dict.fromkeys(channel.source for channel in table.channels):
         columns = [k for k, channel in enumerate(table.channels) if channel.source == source]
@@ -220,9 +223,11 @@ def _middlemost(table: ChannelTable, rows: NDArray[np.int64], otherwise: Floats)
         if np.linalg.matrix_rank(axes) == 3:
             told.append(table.rate_rad_s[rows][:, columns] @ np.linalg.pinv(axes).T)
     rates = otherwise.copy()
-    if len(told) >= FEWEST_SOURCES:
-        enough = np.isfinite(told).all(axis=2).sum(axis=0) >= FEWEST_SOURCES
-        rates[enough] = np.nanmedian(np.array(told)[:, enough], axis=0)
+    if len(told) >= 2:
+        opinions = np.array([*told, np.zeros_like(rates)])
+        sources = np.isfinite(told).all(axis=2).sum(axis=0)
+        opinions[-1, sources != 2] = np.nan
+        rates[sources >= 2] = np.nanmedian(opinions[:, sources >= 2], axis=0)
     return rates
 
 

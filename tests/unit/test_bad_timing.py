@@ -206,7 +206,10 @@ def test_a_misalignment_is_calibrated_where_the_sources_are_of_different_rates()
     assert _named([channel_table(recording(*sources))]) == []
 
 
-def test_a_large_bias_does_not_come_up_on_the_other_axes_by_way_of_misalignment() -> None:
+@pytest.mark.parametrize(("n_triads", "suspects"), [(2, ("imu0.x", "imu1.x")), (3, ("imu1.x",))])
+def test_a_large_bias_does_not_come_up_on_the_other_axes_by_way_of_misalignment(
+    n_triads: int, suspects: tuple[str, ...]
+) -> None:
     rng = np.random.default_rng(9)
     time_s = np.arange(0.0, 120.0, 0.04)
     spin = 40.0 * DEG * np.sin(2 * np.pi * time_s[:, None] * [0.11, 0.13, 0.17])
@@ -214,9 +217,9 @@ def test_a_large_bias_does_not_come_up_on_the_other_axes_by_way_of_misalignment(
         spin + turned * spin[:, [1, 2, 0]] + rng.normal(0.0, 0.1 * DEG, (len(time_s), 3))
         for turned in (0.0, 0.01, -0.012)
     ]
-    rate = np.hstack(rates)
+    rate = np.hstack(rates[:n_triads])
     rate[(time_s >= 40.0) & (time_s < 70.0), 3] += 400.0 * DEG
-    assert _named([table_of(time_s, rate)]) == [("bias", ("imu1.x",))]
+    assert _named([table_of(time_s, rate)]) == [("bias", suspects)]
 
 
 def test_a_bias_is_isolated_from_those_that_are_left_while_a_third_gyro_is_silent() -> None:
