@@ -213,8 +213,7 @@ def _corrected(table: ChannelTable, error_per_rate: Floats) -> ChannelTable:
 def _middlemost(table: ChannelTable, rows: NDArray[np.int64], otherwise: Floats) -> Floats:
     """Median of what the sources say of the body rate, (n, 3).
 
-    Of two, the one that says less, for what is far off hardly ever reads too little: rest is the
-    third opinion.
+    Of two, what is less, for a gyro that is far off hardly ever reads too little.
     """
     told = []
     for source in dict.fromkeys(channel.source for channel in table.channels):
@@ -224,10 +223,12 @@ def _middlemost(table: ChannelTable, rows: NDArray[np.int64], otherwise: Floats)
             told.append(table.rate_rad_s[rows][:, columns] @ np.linalg.pinv(axes).T)
     rates = otherwise.copy()
     if len(told) >= 2:
-        opinions = np.array([*told, np.zeros_like(rates)])
-        sources = np.isfinite(told).all(axis=2).sum(axis=0)
-        opinions[-1, sources != 2] = np.nan
-        rates[sources >= 2] = np.nanmedian(opinions[:, sources >= 2], axis=0)
+        opinions = np.array(told)
+        sources = np.isfinite(opinions).all(axis=2).sum(axis=0)
+        rates[sources > 2] = np.nanmedian(opinions[:, sources > 2], axis=0)
+        two = opinions[:, sources == 2]
+        least = np.nanargmin(np.abs(two), axis=0)
+        rates[sources == 2] = np.take_along_axis(two, least[None], axis=0)[0]
     return rates
 
 
