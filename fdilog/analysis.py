@@ -405,6 +405,7 @@ def _windowed(
 ) -> list[Evidence]:
     """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
     from fdilog.alignment import aligned_windows
+    from fdilog.bursts import burst_windows
     from fdilog.slopes import scale_evidence
     from fdilog.windows import Survey, cut
 
@@ -418,11 +419,12 @@ def _windowed(
         found.append(scale_evidence(survey))
     biased = [item for item in found if item.kind == "bias"]
     leading = [item for item in biased if item.detector == biased[0].detector]
-    if (aligned := aligned_windows(table, leading)) is not None:
-        survey = Survey(table=table, windows=aligned, config=config)
-        for name, detector in asked:
-            progress(f"{name}, windows laid to fit")
-            found.extend(item for item in detector.detect(survey) if item.kind == "bias")
+    for laid in (aligned_windows(table, leading), burst_windows(table, config)):
+        if laid is not None:
+            survey = Survey(table=table, windows=laid, config=config)
+            for name, detector in asked:
+                progress(f"{name}, windows laid to fit")
+                found.extend(item for item in detector.detect(survey) if item.kind == "bias")
     return found
 
 

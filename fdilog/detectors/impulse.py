@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fdilog.config import Config
 from fdilog.finding import Evidence
+from fdilog.outliers import LEVEL, least_levels
 from fdilog.prediction import deviations, innovations
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
@@ -28,19 +29,9 @@ Floats = NDArray[np.float64]
 # impulse touches three of them, so that two impulses a neighbourhood do not hide each other, if it
 # holds 120 readings. It is as short as that because vibration swells and dies within seconds.
 NEIGHBOURHOOD_S = 2.0
-LEVEL = 0.95
 FEWEST_AROUND = 120
 # The level of normal readings, in sigmas; where tails are heavy it is more.
 NORMAL_LEVEL = 1.96
-# How far above that level an impulse stands follows from the tail that the flight itself shows: the
-# excess of unconfirmed peaks over the level, in levels, is taken for exponential (peaks over
-# threshold), and its decay is read off where nine in ten of them are passed, so that impulses do
-# not stretch it; nor may a dozen impulses among few peaks, which leave the middle of them alone.
-# Recorded flights show 0.15 to 0.6 levels; too few peaks are taken for middling.
-PEAKS_PASSED = 0.9
-MOST_STRETCHED = 3.0
-FEWEST_PEAKS = 20
-MIDDLING_DECAY = 0.3
 SECONDS_PER_HOUR = 3600.0
 # A peak counts as confirmed by another channel of the axis that is off by this part of it too, the
 # peak itself left out of what is expected there, or deviates from its neighbours by as much and
@@ -182,7 +173,8 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
         return []
     peaks = np.flatnonzero(asked & (size > level))
     peaks = peaks[~_confirmed(table, axis, place, peaks, alone[peaks])]
-    least = _least_levels(size[peaks] / level[peaks], table, config) * level[peaks]
+    readings_per_hour = SECONDS_PER_HOUR / table.period_s * len(table.channels)
+    least = least_levels(size[peaks] / level[peaks], readings_per_hour, config) * level[peaks]
     at = peaks[size[peaks] > np.maximum(limit[peaks], least)]
     rows = np.flatnonzero(table.valid[:, channel])
     here = np.searchsorted(rows, at)
@@ -241,24 +233,6 @@ def _confirmed(
         else:
             confirmed |= alone & (most > CONFIRMED * size)
     return confirmed
-
-
-def _least_levels(peaks: Floats, table: ChannelTable, config: Config) -> float:
-    """How many levels an impulse stands out at least, for chance alone to stay in the budget.
-
-    Parameters
-    ----------
-    peaks : (n_peaks,)
-        Peaks above the level that nobody confirms, in levels. [1]
-    """
-    decay = MIDDLING_DECAY
-    if len(peaks) >= FEWEST_PEAKS:
-        middle, far = np.quantile(peaks - 1.0, (0.5, PEAKS_PASSED))
-        stretched = MOST_STRETCHED * middle / np.log(2.0)
-        decay = float(min(far / -np.log(1.0 - PEAKS_PASSED), stretched))
-    per_hour = SECONDS_PER_HOUR / table.period_s * len(table.channels)
-    doubt = config.windows.false_findings_per_hour / per_hour
-    return 1.0 + decay * max(0.0, float(np.log((1.0 - LEVEL) / doubt)))
 
 
 def _returned(
