@@ -25,6 +25,8 @@ MOST = 0.5
 MUCH_QUIETER = 2.0
 # The change points of variance and the variances about them settle within this.
 ROUNDS = 5
+_NOISY = "noisier than the other gyros that sense its axis, or than it usually is"
+_LOUDER = "is noisy, or the other shows too little: in this flight neither did otherwise"
 _WORDS: dict[Kind, str] = {
     "impulse": "single readings far off, confirmed by no other gyro",
     "dead": "reads exactly zero",
@@ -52,7 +54,10 @@ def noise_findings(
     deviation, own = shown_noise(table)
     findings = []
     for cluster in clusters(table.time_s, said):
-        channel = min(cluster.suspects)
+        channel = max(
+            sorted(cluster.suspects),
+            key=lambda k: _ratio(evidence, k, cluster.start, cluster.stop).estimate,
+        )
         first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
         peers = noise_peers(table, channel)
         shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
@@ -64,12 +69,12 @@ def noise_findings(
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
         found = Finding(
             kind="noise",
-            suspects=(table.names[channel],),
+            suspects=tuple(table.names[k] for k in sorted(cluster.suspects)),
             start_s=float(table.time_s[start]),
             end_s=float(table.time_s[stop - 1]),
             size=_ratio(evidence, channel, start, stop),
             detectors=tuple(sorted({member.detector for member in cluster.members})),
-            detail="noisier than the other gyros that sense its axis, or than it usually is",
+            detail=_NOISY if len(cluster.suspects) == 1 else f"{table.names[channel]} {_LOUDER}",
         )
         compared = {channel, *(peers if len(peers) == 1 else ())}
         names = {table.names[k] for k in compared}

@@ -99,12 +99,17 @@ class NoiseDetector:
             with np.errstate(invalid="ignore", divide="ignore"):
                 relative = mine / common
             louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
-            shown = logged if found.any() else grown
-            found |= grown.beyond & louder.more & loudest & (alone > least)
-            if len(peers) == 1 and found.any():
-                found &= ~_peer_quieter(survey, channel, int(peers[0]))
-            low[:, channel], high[:, channel] = shown.low, shown.high
-            accused[:, channel] = np.where(found, channel + 1, 0)
+            by_itself = grown.beyond & louder.more & loudest & (alone > least) & ~found
+            found |= by_itself
+            for peer in peers.tolist() if found.any() else ():
+                quieter, risen = _changed(survey, channel, peer)
+                found &= ~quieter
+                if len(peers) == 1:
+                    # Who changed is not known: one may be noisy, or the other read too little.
+                    accused[found & ~risen, peer] = channel + 1
+            low[:, channel] = np.where(by_itself, grown.low, logged.low)
+            high[:, channel] = np.where(by_itself, grown.high, logged.high)
+            accused[found, channel] = channel + 1
         return [
             Evidence(
                 detector="noise",
@@ -309,18 +314,26 @@ class _Usual:
         return _of_comparable(self.shaking, values, common, USUAL)
 
 
-def _peer_quieter(survey: Survey, channel: int, peer: int) -> NDArray[np.bool_]:
-    """Tell in which windows a channel shows more than its only peer because that one shows less.
+def _changed(
+    survey: Survey, channel: int, peer: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell in which windows a channel shows more than a peer because that one, or itself, changed.
 
-    What the airframe shakes is told by the other axes. By that measure, and while it shakes about
-    as much, the peer has come down from what it usually shows by more than the channel has gone up,
-    and by most of what they differ by now.
+    A peer that shows less no longer tells what the channel feels of the vibration either, which
+    looks as if it were the channel's own. What the airframe shakes is told by all others. By that
+    measure, and while it shakes about as much, a gyro has changed that went up or down from what
+    it usually shows by most of what the two differ by now, and by more than the other.
+
+    Returns
+    -------
+    quieter, risen : (n_windows,) bool
+        Whether the peer came down; whether the channel went up.
     """
     table = survey.table
     deviation, _ = shown_noise(table)
     others = np.delete(np.arange(len(table.channels)), [channel, peer])
     if not len(others):
-        return np.zeros(len(survey.windows), bool)
+        return np.zeros(len(survey.windows), bool), np.ones(len(survey.windows), bool)
     shown = deviation[:, [channel, peer, *others]]
     rows = np.flatnonzero(np.isfinite(shown).all(axis=1))
     shaken = np.sqrt((shown[rows, 2:] ** 2).mean(axis=1))
@@ -342,7 +355,8 @@ def _peer_quieter(survey: Survey, channel: int, peer: int) -> NDArray[np.bool_]:
     with np.errstate(divide="ignore", invalid="ignore"):
         up = np.log(mine / shaking) - quietly
         down = loudly - np.log(theirs / shaking)
-        return np.asarray(down > np.maximum(up, np.log(mine / theirs) / 2.0), bool)
+        most = np.log(mine / theirs) / 2.0
+        return np.asarray(down > np.maximum(up, most), bool), np.asarray(up > most, bool)
 
 
 def _of_comparable(shaking: Floats, values: Floats, common: Floats, share: float) -> Floats:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.config import Config
 from fdilog.finding import Evidence, Kind
+from fdilog.geometry import leave_one_out
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
 from fdilog.windows import Survey, spans, stretches
@@ -39,6 +40,9 @@ FULL_SCALE_MARGIN = 0.03
 # of its range, in which a gyro that can tell reads more than at its very peaks.
 FEWEST_TURNS = 3
 BESIDE_THE_END = 0.05
+# In one run alone the others must read further but for so many readings: a gyro that is stuck is
+# left behind for a while, too.
+ALL_OF_A_RUN = 0.1
 # A turn of the vehicle moves more gyros than one, for more readings than a glitch or two.
 FEWEST_MOVING = 2
 MOST_GLITCHES = 5
@@ -124,7 +128,7 @@ def _kind(table: ChannelTable, channel: int, run: tuple[int, int, float], config
     rows = start + np.flatnonzero(table.valid[start:stop, channel])
     at_an_end = bool((sign * readings <= sign * value).all()) and (
         (_is_full_scale(value) and abs(value) >= np.abs(readings).max())
-        or _others_read_further(table, channel, rows, value, config)
+        or _most(_others_read_further(table, channel, rows, value, config), ALL_OF_A_RUN) > 0.0
     )
     return "saturated" if at_an_end else "stuck"
 
@@ -156,26 +160,37 @@ def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[fl
         within = int(((outward < 0.0) & (outward >= -band)).sum())
         if (
             abs(end - middle) > band
-            and len(at) > max(within, int((outward > 0.0).sum()))
+            and len(at) > max(within, int((outward[at[0] : at[-1]] > 0.0).sum()))
             and (
-                _others_read_further(table, channel, rows[at], end, config)
+                _most(_others_read_further(table, channel, rows[at], end, config), 0.5) > 0.0
                 or (_is_full_scale(end) and abs(end) >= np.abs(values).max())
             )
         ):
             ends.append(end)
-    return ends
+    often = levels[turns >= FEWEST_TURNS]
+    return sorted({*ends, *(float(end) for end in often if -end in ends)})
 
 
 def _others_read_further(
     table: ChannelTable, channel: int, rows: NDArray[np.int64], value: float, config: Config
-) -> bool:
-    """Whether some gyro along a channel's axis reads surely more than this while it reads this."""
-    along = np.flatnonzero(table.along(channel))
-    same_way = np.sign(table.axes[along] @ table.axes[channel] * value)
-    beyond = same_way * table.rate_rad_s[np.ix_(rows, along)] - abs(value)
-    beyond = beyond[:, table.valid[np.ix_(rows, along)].any(axis=0)]
+) -> NDArray[np.float64]:
+    """By how much more the others tell than a channel that reads this, less the tolerances, (n,).
+
+    Not-a-number where there is nothing to tell it. [rad/s]
+    """
+    row = leave_one_out(table.axes)[channel]
+    needed = np.flatnonzero(row != 0.0)
+    if not bool(np.isfinite(row).all()):
+        return np.full(len(rows), np.nan)
+    error = table.rate_rad_s[np.ix_(rows, needed)] @ row[needed]
     doubt = np.radians(config.tolerance.bias_deg_s) + config.tolerance.scale * abs(value)
-    return bool((np.nanmedian(beyond, axis=0) > doubt).any())
+    return np.asarray(-np.sign(value) * error - doubt, np.float64)
+
+
+def _most(values: NDArray[np.float64], share: float) -> float:
+    """Return what all but a share of the known values reach; minus infinity if none is known."""
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, share)) if len(known) else -np.inf
 
 
 def _runs_at(table: ChannelTable, channel: int, ends: Sequence[float]) -> list[tuple[int, int]]:

@@ -16,7 +16,15 @@ CONFIG = Config().replace("detectors", use=("parity", "impulse", "dropout", "fla
 @pytest.mark.parametrize(("n_triads", "suspects"), [(2, {"imu0.y", "imu1.y"}), (3, {"imu1.y"})])
 @pytest.mark.parametrize(
     ("length_s", "size_deg_s"),
-    [(0.2, -200.0), (0.3, 40.0), (0.5, -200.0), (0.5, 20.0), (0.8, 40.0), (1.2, -200.0), (1.2, 20.0)],
+    [
+        (0.2, -200.0),
+        (0.3, 40.0),
+        (0.5, -200.0),
+        (0.5, 20.0),
+        (0.8, 40.0),
+        (1.2, -200.0),
+        (1.2, 20.0),
+    ],
 )
 def test_an_error_of_a_moment_is_found_where_it_is(
     n_triads: int, suspects: set[str], length_s: float, size_deg_s: float

@@ -76,6 +76,15 @@ def test_a_gyro_that_turns_faster_than_it_can_tell_is_saturated_once(size_deg_s:
     assert "times" in finding.detail
 
 
+def test_a_gyro_that_is_stuck_all_along_is_not_at_the_end_of_its_range() -> None:
+    table = triads(2, seconds=80.0)
+    rate = table.rate_rad_s.copy()
+    rate[:, 0] = 0.3 * DEG
+    rate[:, 3] += 4.0 * DEG
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("stuck", ("imu0.x",))
+
+
 def test_a_rate_table_that_stands_at_its_highest_rate_saturates_nobody() -> None:
     time_s = np.arange(6000) / 50.0
     plateaus = np.repeat(np.tile([0.0, 40.0, 0.0, -40.0], 5), 300) * DEG

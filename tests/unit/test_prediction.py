@@ -121,6 +121,37 @@ def test_a_gyro_that_hardly_reads_makes_no_noise_of_the_one_beside_it(
     assert finding.suspects == ("imu0.x", "imu1.x")
 
 
+def smoothed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a first-order filter of a third of a second at 25 Hz leaves."""
+    left = values.copy()
+    for k in range(1, len(left)):
+        left[k] = left[k - 1] + 0.12 * (values[k] - left[k - 1])
+    return left
+
+
+@pytest.mark.parametrize("n_triads", [2, 3])
+def test_a_gyro_that_smooths_makes_no_noise_of_those_beside_it(n_triads: int) -> None:
+    table = shaken(n_triads)
+    rows = (table.time_s >= 30.0) & (table.time_s < 50.0)
+    rate = table.rate_rad_s.copy()
+    rate[rows, 1] = smoothed(rate[rows, 1])
+    for finding in judge(table_of(table.time_s, rate), CONFIG).findings:
+        assert "imu0.y" in finding.suspects
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_of_two_gyros_that_always_differ_in_noise_either_may_be_the_one(smooth: bool) -> None:
+    table = shaken(2)
+    rate = table.rate_rad_s.copy()
+    if smooth:
+        rate[:, 1] = smoothed(rate[:, 1])
+    else:
+        rate[:, 4] += np.random.default_rng(2).normal(0.0, 60.0 * DEG, len(rate))
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("noise", ("imu0.y", "imu1.y"))
+    assert finding.detail.startswith("imu1.y is noisy, or")
+
+
 def test_vibration_that_swells_for_all_is_nobodys_noise() -> None:
     table = shaken(3)
     rate = table.rate_rad_s.copy()
