@@ -203,12 +203,13 @@ def _within(finding: Finding, config: Config) -> bool:
 
     It was beyond it in the readings less what is in proportion to the rate, and so by what was
     fitted of that. The size of a suspect among several is that of the pair's difference in part:
-    then the whole interval must be within.
+    then the whole interval must be within, or hold zero besides.
     """
     size = finding.size
     if finding.kind != "bias" or size is None:
         return False
-    largest = abs(size.estimate) if finding.isolated else max(-size.low, size.high)
+    told = finding.isolated or size.low < 0.0 < size.high
+    largest = abs(size.estimate) if told else max(-size.low, size.high)
     return bool(largest <= np.radians(config.tolerance.bias_deg_s))
 
 
