@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,8 @@ SHAKING_S = 1.0
 TURNS_S = 60.0
 # What covers so much of a finding, or of a flight, explains it.
 MOST = 0.5
-# What is so much quieter than the rest of a noisy span is no part of it.
-MUCH_QUIETER = 2.0
+# A span of noise is looked for between so many pieces at most, then between readings.
+MOST_PIECES = 300
 # The change points of variance and the variances about them settle within this.
 ROUNDS = 5
 _NOISY = "noisier than the other gyros that sense its axis, or than it usually is"
@@ -124,16 +125,14 @@ def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) ->
     """
     from fdilog.detectors.excess_noise import CAP, FEWEST_SAMPLES, capped_sigma
 
-    span = (int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1])))
-    pieces = np.array_split(size, max(1, len(size) // FEWEST_SAMPLES))
-    quietest = min(float(capped_sigma(piece)) for piece in pieces)
+    span = _louder_part(size, inside, ratio)
     for _ in range(ROUNDS):
         loud = float(capped_sigma(size[span[0] : span[1]]))
-        sides = [side for side in (size[: span[0]], size[span[1] :]) if len(side) >= FEWEST_SAMPLES]
-        # Before and after may differ, in flight and landed; noise is what is above both. Where
-        # the span reaches too far on either side, the quiet is within.
-        within = max(loud / ratio, quietest if MUCH_QUIETER * quietest < loud else 0.0)
-        quiet = max((float(capped_sigma(side)) for side in sides), default=within)
+        length = span[1] - span[0]
+        near = (size[max(0, span[0] - length) : span[0]], size[span[1] : span[1] + length])
+        sides = [side for side in near if len(side) >= FEWEST_SAMPLES]
+        # Before and after may differ, in flight and landed; noise is what is above both.
+        quiet = max((float(capped_sigma(side)) for side in sides), default=loud / ratio)
         if not 0.0 < quiet < loud:
             break
         # Log likelihood ratio of the two variances; a few readings of a crash count like others.
@@ -149,15 +148,55 @@ def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) ->
     return span
 
 
+def _louder_part(
+    size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float
+) -> tuple[int, int]:
+    """Find the span that differs the most in the logarithm of its noise from what is around.
+
+    Long windows accuse where a part of them is noisy. Where no part stands out by most of the
+    ratio, all of it is.
+    """
+    from fdilog.detectors.excess_noise import FEWEST_SAMPLES, capped_sigma
+
+    whole = (int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1])))
+    edges = np.linspace(0, len(size), min(MOST_PIECES, len(size) // FEWEST_SAMPLES) + 1)
+    edges = edges.astype(np.int64)
+    sigma = np.array([float(capped_sigma(size[a:b])) for a, b in pairwise(edges.tolist())])
+    if len(sigma) < 2 or not (sigma > 0.0).any():
+        return whole
+    level = np.log(np.maximum(sigma, sigma[sigma > 0.0].min()))
+    total = np.concatenate([[0.0], np.cumsum(level)])
+    accused = np.concatenate([[0], np.cumsum(inside)])[edges]
+    first, last = np.triu_indices(len(edges), 1)
+    count, n = last - first, len(level)
+    some = count < n
+    some &= 2 * (accused[last] - accused[first]) >= edges[last] - edges[first]
+    first, last, count = first[some], last[some], count[some]
+    louder = (total[last] - total[first]) / count
+    louder -= (total[-1] - total[last] + total[first]) / (n - count)
+    explained = np.where(louder > np.log(ratio) / 2.0, count * (n - count) * louder**2, 0.0)
+    if not explained.any():
+        return whole
+    best = int(explained.argmax())
+    return int(edges[first[best]]), int(edges[last[best]])
+
+
 def _ratio(evidence: Sequence[Evidence], channel: int, start: int, stop: int) -> Size:
-    """Hull of the ratios in the longest windows that accuse, since noise changes in a flight."""
-    longest = max(
-        (item for item in evidence if item.accused[:, channel].any()),
-        key=lambda item: item.windows.length_s,
-    )
+    """Hull of the ratios in the longest windows that accuse, since noise changes in a flight.
+
+    They should lie within the span of the noise: what they hold beside it dilutes the ratio.
+    """
+    accusing = [item for item in evidence if item.accused[:, channel].any()]
+    longest = max(accusing, key=lambda item: item.windows.length_s)
     rows = (longest.windows.start < stop) & (longest.windows.stop > start)
     rows &= longest.accused[:, channel] > 0
     rows = rows if rows.any() else longest.accused[:, channel] > 0
+    for item in sorted(accusing, key=lambda item: -item.windows.length_s):
+        within = (item.windows.start >= start) & (item.windows.stop <= stop)
+        within &= item.accused[:, channel] > 0
+        if within.any():
+            longest, rows = item, within
+            break
     low, high = longest.low[rows, channel], longest.high[rows, channel]
     return Size(
         estimate=float(np.median(np.sqrt(low * high))),

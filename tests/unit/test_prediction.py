@@ -200,3 +200,20 @@ def test_a_coarse_gyro_that_mostly_repeats_itself_at_rest_is_not_noisy_for_a_sho
     # As when the stamps of the two differ: compared as logged, before scale errors are taken out.
     table = replace(table, deviation_rad_s=deviations(table))
     assert judge(table, CONFIG).findings == ()
+
+
+def test_loud_noise_of_half_a_minute_ends_where_it_does_and_is_as_large_as_it_is() -> None:
+    table = shaken(3, seconds=110.0)
+    rng = np.random.default_rng(9)
+    flying = np.where((table.time_s >= 10.0) & (table.time_s < 95.0), 1.0, 0.02)
+    rate = table.rate_rad_s * flying[:, None]
+    rows = (table.time_s >= 42.0) & (table.time_s < 74.0)
+    rate[rows, 7] += rng.normal(0.0, 100.0 * DEG, int(rows.sum()))
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("noise", ("imu2.y",))
+    assert finding.start_s == pytest.approx(42.0, abs=0.3)
+    assert finding.end_s == pytest.approx(74.0, abs=0.3)
+    deviation = deviations(table)[rows] / np.sqrt(1.5)
+    others = np.sqrt((deviation[:, [1, 4]] ** 2).mean())
+    assert finding.size is not None
+    assert finding.size.low < np.hypot(100.0 * DEG, others) / others < finding.size.high
