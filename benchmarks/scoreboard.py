@@ -338,7 +338,7 @@ def counts(case: str, trials: Sequence[Trial]) -> list[str]:
     return [
         case,
         str(len(trials)),
-        f"{np.median(effects):.2g}" if effects else "-",
+        f"{float(f'{np.median(effects):.2g}'):g}" if effects else "-",
         share(lambda t: t.found),
         share(lambda t: t.right_kind),
         share(lambda t: t.alone),

@@ -126,7 +126,9 @@ def _contains(found: Finding, other: Finding) -> bool:
         return False
     if other.kind == "mounting":
         return found.start_s < other.start_s and found.end_s > other.end_s
-    return other.kind in SHAPES and other.start_s < found.end_s and other.end_s > found.start_s
+    # Where a disagreement begins and ends is known to a cell.
+    begins, ends = found.start_s - CELL_S, found.end_s + CELL_S
+    return other.kind in SHAPES and other.start_s < ends and other.end_s > begins
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

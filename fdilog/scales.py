@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from fdilog.accusations import Cluster, accusations, clusters, region
 from fdilog.config import Config
 from fdilog.edges import Shape, best_ramp, best_scale, best_step
@@ -37,7 +39,26 @@ def with_scales(
         if found is not None:
             findings = [one for one in findings if not _explains(found, one)]
             findings.append(found)
-    return findings
+    return [one for one in findings if not _shadow(table, one, findings)]
+
+
+def _shadow(table: ChannelTable, one: Finding, findings: Sequence[Finding]) -> bool:
+    """Tell whether a scale error is that of another gyro of the axis, over a part of its span."""
+    if one.kind != "scale":
+        return False
+    axis = {
+        table.names[k]
+        for name in one.suspects
+        for k in np.flatnonzero(table.along(table.names.index(name)))
+    }
+    return any(
+        other.kind == "scale"
+        and set(other.suspects) <= axis
+        and not set(other.suspects) & set(one.suspects)
+        and other.end_s - other.start_s > one.end_s - one.start_s
+        and _covers(other, one)
+        for other in findings
+    )
 
 
 def _shape(table: ChannelTable, cluster: Cluster) -> Shape | None:
@@ -78,7 +99,9 @@ def _finding(table: ChannelTable, cluster: Cluster, shape: Shape, config: Config
 
 def _explains(scale: Finding, other: Finding) -> bool:
     """Tell whether a finding is what a scale error looks like."""
-    if not set(scale.suspects) & set(other.suspects):
-        return False
+    return bool(set(scale.suspects) & set(other.suspects)) and _covers(scale, other)
+
+
+def _covers(scale: Finding, other: Finding) -> bool:
     together = min(scale.end_s, other.end_s) - max(scale.start_s, other.start_s)
     return together >= COVERED * (other.end_s - other.start_s)

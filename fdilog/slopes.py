@@ -196,7 +196,10 @@ def _answer(moments: Moments, means: _Segments, survey: Survey, evidence: Eviden
     for channel, found in nobody:
         outside[:, channel] = found.outside(config, family)
         half = found.half_width(config.windows.confidence)
-        shown[:, channel] = np.abs(found.slope) > half
+        # A rate that hardly moves shows it by chance in one of a thousand windows of noise.
+        shown[:, channel] = np.abs(found.slope) > np.where(
+            found.moving, half, found.half_width(family)
+        )
         moving[:, channel] = found.moving
         place = (moments.windows, channels[channel])
         evidence.tested[place] = found.moving
