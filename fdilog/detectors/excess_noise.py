@@ -100,6 +100,7 @@ class NoiseDetector:
                 relative = mine / common
             louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
             by_itself = grown.beyond & louder.more & loudest & (alone > least) & ~found
+            shown = logged if found.any() else grown
             found |= by_itself
             for peer in peers.tolist() if found.any() else ():
                 quieter, risen = _changed(survey, channel, peer)
@@ -107,8 +108,8 @@ class NoiseDetector:
                 if len(peers) == 1:
                     # Who changed is not known: one may be noisy, or the other read too little.
                     accused[found & ~risen, peer] = channel + 1
-            low[:, channel] = np.where(by_itself, grown.low, logged.low)
-            high[:, channel] = np.where(by_itself, grown.high, logged.high)
+            low[:, channel] = np.where(by_itself, grown.low, shown.low)
+            high[:, channel] = np.where(by_itself, grown.high, shown.high)
             accused[found, channel] = channel + 1
         return [
             Evidence(
