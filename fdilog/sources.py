@@ -596,13 +596,14 @@ def _late_starts(gyros: Sequence[Gyro], base: TimeBase, config: Config) -> list[
     """List the sources that were recorded later than the others; a while is usual and only noted.
 
     Drivers and nodes start one after another, so that it is no failure. But nobody knows what such
-    a gyro did before.
+    a gyro did before. Batches come one after another, and what lies between them is no loss.
     """
     length_s = (int(base.time_ns[-1]) - int(base.time_ns[0])) / 1e9
     problems = []
     for gyro in gyros:
         late_s = (int(gyro.time_ns[0]) - int(base.time_ns[0])) / 1e9 if len(gyro.time_ns) else 0.0
-        if late_s <= hole_threshold_s(base.period_ns / 1e9, config.tolerance.dropout_s):
+        allowed_s = hole_threshold_s(base.period_ns / 1e9, config.tolerance.dropout_s)
+        if gyro.stream.batched or late_s <= allowed_s:
             continue
         what = f"{gyro.stream.name}: nothing recorded before {late_s:.3f} s, while other gyros were"
         usual = late_s <= MOST_MISSED * length_s

@@ -145,6 +145,8 @@ def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[fl
     the axis must read further meanwhile, or the value be the full scale of a gyro.
     """
     rows = np.flatnonzero(table.valid[:, channel])
+    if not len(rows):
+        return []
     values = table.rate_rad_s[rows, channel]
     start, stop = runs_of_equal(values)
     repeated = stop - start >= 2
