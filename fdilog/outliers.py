@@ -17,11 +17,13 @@ Floats = NDArray[np.float64]
 LEVEL = 0.95
 # Its decay is read off where nine in ten of the peaks above the level are passed, so that faults do
 # not stretch it; nor may a dozen faults among few peaks, which leave the middle of them alone.
-# Recorded flights show 0.15 to 0.6 levels; too few peaks are taken for middling.
+# Recorded flights show 0.15 to 0.65 levels; half as much again is the most that is believed, and
+# too few peaks are taken for middling.
 PEAKS_PASSED = 0.9
 MOST_STRETCHED = 3.0
 FEWEST_PEAKS = 20
 MIDDLING_DECAY = 0.3
+MOST_DECAY = 1.0
 
 
 def least_levels(peaks: Floats, per_hour: float, config: Config) -> float:
@@ -38,6 +40,6 @@ def least_levels(peaks: Floats, per_hour: float, config: Config) -> float:
     if len(peaks) >= FEWEST_PEAKS:
         middle, far = np.quantile(peaks - 1.0, (0.5, PEAKS_PASSED))
         stretched = MOST_STRETCHED * middle / np.log(2.0)
-        decay = float(min(far / -np.log(1.0 - PEAKS_PASSED), stretched))
+        decay = float(min(far / -np.log(1.0 - PEAKS_PASSED), stretched, MOST_DECAY))
     doubt = config.windows.false_findings_per_hour / per_hour
     return 1.0 + decay * max(0.0, float(np.log((1.0 - LEVEL) / doubt)))
