@@ -1,16 +1,17 @@
-"""Windows laid where a gyro stands off from the others for a moment, and comes back.
+"""Moments in which a gyro stands off from the others and comes back, and windows laid over them.
 
 An error of half a second fills no regular window: in a longer one it is a spread, not a mean. So
 what each channel is off by is averaged over blocks from a few readings up to a second, and every
 block is held against the block before and the block after. Which of them stand out follows from the
-flight's own swells, as for single readings; the span that explains most of the readings around is
-one more window, for all detectors to look at.
+flight's own swells, as for single readings. The span that explains most of the readings around is
+one more window, for all detectors to look at; or, of fewer readings than tell a mean, an impulse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from fdilog.edges import best_step
 from fdilog.finding import Windows
 from fdilog.geometry import leave_one_out
 from fdilog.outliers import LEVEL, least_levels
+from fdilog.prediction import follows, off_in_motion
 from fdilog.table import ChannelTable
 from fdilog.usual import usual
 from fdilog.windows import spans
@@ -29,6 +31,9 @@ Rows = NDArray[np.int64]
 
 # The spread within fewer readings hardly tells how well their mean is known.
 FEWEST_READINGS = 8
+# Blocks for errors of fewer: each fills one of these by two thirds at least. A single reading is
+# what its neighbours tell (`fdilog.prediction`).
+SHORT_BLOCKS = (2, 3, 5)
 # Regular windows of a second and more see what is longer.
 LONGEST_S = 1.5
 # From one length of blocks to the next; a fault of a length between fills most of either. [1]
@@ -44,20 +49,62 @@ CONFIRMED, CONFIRMED_ELSEWHERE = 0.3, 1.0
 LONGEST_WITH_LOSSES = 1.25
 
 
+@dataclass(frozen=True, kw_only=True, order=True)
+class Moment:
+    """A span in which one channel stands off.
+
+    Parameters
+    ----------
+    gain
+        By how much a constant over it lessens the sum of squares. [(rad/s)^2]
+    start, stop
+        First sample of the table, one past the last.
+    size
+        How far it stands off, on average. [rad/s]
+    level
+        What few blocks like it reach by chance. [rad/s]
+    """
+
+    gain: float
+    start: int
+    stop: int
+    channel: int
+    size: float
+    level: float
+
+
 def burst_windows(table: ChannelTable, config: Config) -> Windows | None:
     """Lay windows over the moments in which a gyro stands off, or none if there are none."""
-    if not table.period_s or FEWEST_READINGS * table.period_s > LONGEST_S:
-        return None
-    rows = leave_one_out(table.axes, sigma=usual(table).sigma)
-    found: set[tuple[int, int]] = set()
-    for channel, row in enumerate(rows):
-        needed = np.flatnonzero(row != 0.0)
-        if np.isfinite(row).all() and not any(table.channels[k].derived for k in needed):
-            found.update(_Error.of(table, channel, row).bursts(config))
+    blocks = [FEWEST_READINGS]
+    while table.period_s and blocks[-1] * LONGER * table.period_s <= LONGEST_S:
+        blocks.append(round(blocks[-1] * LONGER))
+    longest = 3 * blocks[-1]
+    found = {
+        (moment.start, moment.stop)
+        for error in _errors(table)
+        for moment in error.moments(blocks, (FEWEST_READINGS, longest), config)
+    }
     if not found:
         return None
     start, stop = np.array(sorted(found)).T
     return spans(table, start, stop)
+
+
+def short_moments(table: ChannelTable, config: Config) -> list[Moment]:
+    """List the moments of two readings and more, of fewer than a window needs."""
+    within = (min(SHORT_BLOCKS), FEWEST_READINGS - 1)
+    return [one for error in _errors(table) for one in error.moments(SHORT_BLOCKS, within, config)]
+
+
+def _errors(table: ChannelTable) -> Iterator[_Error]:
+    """Hold every gyro that others can be held against to them."""
+    if not table.period_s or FEWEST_READINGS * table.period_s > LONGEST_S:
+        return
+    rows = leave_one_out(table.axes, sigma=usual(table).sigma)
+    for channel, row in enumerate(rows):
+        needed = np.flatnonzero(row != 0.0)
+        if np.isfinite(row).all() and not any(table.channels[k].derived for k in needed):
+            yield _Error.of(table, channel, row)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,30 +132,40 @@ class _Error:
         error = table.rate_rad_s[np.ix_(at, needed)] @ row[needed]
         return cls(table=table, channel=channel, at=at, error=error)
 
-    def bursts(self, config: Config) -> Iterator[tuple[int, int]]:
-        """List spans in which it stands off; where some meet, the one that explains the most."""
-        sizes = [FEWEST_READINGS]
-        while sizes[-1] * LONGER * self.table.period_s <= LONGEST_S:
-            sizes.append(round(sizes[-1] * LONGER))
-        found: list[tuple[float, int, int]] = []
-        for size in sizes:
-            per_hour = 3600.0 / (size * self.table.period_s) * len(self.table.channels) * len(sizes)
-            for begin in self._standing_out(size, per_hour, config):
+    def moments(
+        self, blocks: Sequence[int], readings: tuple[int, int], config: Config
+    ) -> list[Moment]:
+        """List the moments of so many readings; where some meet, the one that explains the most."""
+        found: list[Moment] = []
+        for size in blocks:
+            block_s = size * self.table.period_s
+            per_hour = 3600.0 / block_s * len(self.table.channels) * len(blocks)
+            for begin, level in self._standing_out(size, per_hour, config):
                 first = begin - size
                 around = self.error[first : begin + 2 * size]
                 beside = np.concatenate([around[: size // 2], around[-(size // 2) :]])
                 step = best_step(around - np.median(beside))
-                if step.stop - step.start >= FEWEST_READINGS:
-                    span = (int(self.at[first + step.start]), int(self.at[first + step.stop - 1]))
-                    found.append((step.gain, span[0], span[1] + 1))
-        kept: list[tuple[int, int]] = []
-        for _, start, stop in sorted(found, reverse=True):
-            if all(stop <= other[0] or start >= other[1] for other in kept):
-                kept.append((start, stop))
-                yield start, stop
+                if readings[0] <= step.stop - step.start <= readings[1]:
+                    moment = Moment(
+                        gain=step.gain,
+                        start=int(self.at[first + step.start]),
+                        stop=int(self.at[first + step.stop - 1]) + 1,
+                        channel=self.channel,
+                        size=step.size,
+                        level=level,
+                    )
+                    found.append(moment)
+        kept: list[Moment] = []
+        for one in sorted(found, reverse=True):
+            if all(one.stop <= other.start or one.start >= other.stop for other in kept):
+                kept.append(one)
+        return kept
 
-    def _standing_out(self, size: int, per_hour: float, config: Config) -> list[int]:
-        """List where blocks of one length begin that stand off by more than chance lets them."""
+    def _standing_out(self, size: int, per_hour: float, config: Config) -> list[tuple[int, float]]:
+        """List where blocks of one length begin that stand off by more than chance lets them.
+
+        With each goes the level that few blocks around it reach. [rad/s]
+        """
         limit = np.radians(config.tolerance.impulse_deg_s)
         reach = size + size // 2
         first = np.arange(reach, len(self.error) - size - reach, max(1, size // BEGINS))
@@ -132,11 +189,31 @@ class _Error:
         level *= np.quantile(most / level, LEVEL)
         peaks = most / level
         far = peaks > least_levels(peaks[peaks > 1.0], per_hour, config)
+        standing = zip(*(one[far].tolist() for one in (begins, most, level)), strict=True)
         return [
-            begin
-            for begin, peak in zip(begins[far].tolist(), most[far].tolist(), strict=True)
-            if peak > limit and not self._confirmed(begin, size, peak)
+            (begin, usually)
+            for begin, peak, usually in standing
+            if peak > self._in_motion(begin, size, limit, config)
+            and not self._confirmed(begin, size, peak)
         ]
+
+    @cached_property
+    def _told(self) -> tuple[Floats, float]:
+        """What the others tell that it reads, (n, 1) [rad/s], and how it usually follows that."""
+        told = (self.table.rate_rad_s[self.at, self.channel] - self.error)[:, None]
+        return told, follows(self.error - np.median(self.error), told)
+
+    def _in_motion(self, begin: int, size: int, limit: float, config: Config) -> float:
+        """Say how far a block may stand off because all turn quickly in or beside it. [rad/s]"""
+        told, usually = self._told
+        mistimed, following = off_in_motion(
+            told,
+            np.arange(begin - 1, begin + size + 1),
+            self.table.period_s,
+            config.noise.time_sigma_s,
+            usually,
+        )
+        return max(float(np.hypot(limit, mistimed.max())), float(following.max()))
 
     def _confirmed(self, begin: int, size: int, off: float) -> bool:
         """Tell whether gyros of other sources stand off in a block too."""

@@ -29,7 +29,7 @@ ROUNDS = 5
 _NOISY = "noisier than the other gyros that sense its axis, or than it usually is"
 _LOUDER = "is noisy, or the other shows too little: in this flight neither did otherwise"
 _WORDS: dict[Kind, str] = {
-    "impulse": "single readings far off, confirmed by no other gyro",
+    "impulse": "one reading or a few far off, confirmed by no other gyro",
     "dead": "reads exactly zero",
     "dropout": "silent while other sources go on",
     "saturated": "reads its full scale, and may have turned faster",

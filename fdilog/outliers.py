@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 
 # The level is that which so many stay below.
 LEVEL = 0.95
+# It is three to five middling readings where vibration is even; no reading of a recorded quadcopter
+# stands out further if it is five at most.
+MIDDLING_LEVELS = 5.0
 # Its decay is read off where nine in ten of the peaks above the level are passed, so that faults do
 # not stretch it; nor may a dozen faults among few peaks, which leave the middle of them alone.
 # Recorded flights show 0.15 to 0.65 levels; half as much again is the most that is believed, and

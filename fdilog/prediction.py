@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.noise import robust_sigma
+from fdilog.outliers import MIDDLING_LEVELS
 from fdilog.table import ChannelTable
+from fdilog.windows import evenly_spaced
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -34,6 +36,11 @@ MOST_FITTED = 50_000
 # with bounded weight (P. J. Huber, Robust Statistics, Wiley 1981, section 7.8).
 BEND = 2.0
 ROUNDS = 5
+# By so many sigmas of what sampling instants differ by, as all tolerances of the suite, a reading
+# may be early or late: in a hard turn, a few milliseconds make tens of a deg/s.
+TIMING_SIGMAS = 3.0
+# The quickest turns of a flight are those that so many readings stay below.
+QUICKEST = 0.95
 
 
 def deviations(table: ChannelTable) -> Floats:
@@ -118,6 +125,65 @@ def _near(
     step_s = time_s[apart:] - time_s[:-apart]
     longest_s = np.maximum(step_s[apart:], step_s[:-apart])
     return np.asarray(longest_s * rate_hz < apart - 1 + steps, bool)
+
+
+def follows(off: Floats, readings: Floats) -> float:
+    """Tell what part of the swings of others a channel is usually off by. [1]
+
+    Filters and instants that differ a little make gyros differ the more, the quicker all of them
+    turn. It is told by the middlemost of the quickest readings of the flight.
+
+    Parameters
+    ----------
+    off : (n_readings,)
+        [rad/s]
+    readings : (n_readings, k)
+        What others read then, NaN if nothing. [rad/s]
+    """
+    at = evenly_spaced(len(readings), MOST_FITTED)
+    swings = _swings(readings, at, 1)
+    quick = swings > np.quantile(swings, QUICKEST) if len(swings) else swings > 0.0
+    return float(np.median(np.abs(off[at[quick]]) / swings[quick])) if quick.any() else 0.0
+
+
+def off_in_motion(
+    readings: Floats, at: Rows, period_s: float, time_sigma_s: float, follows: float
+) -> tuple[Floats, Floats]:
+    """How far readings may be off because all gyros turn quickly meanwhile, (n,) each. [rad/s]
+
+    Parameters
+    ----------
+    readings, follows
+        As for, and from, `follows`.
+    at : (n,)
+        Which readings are asked about.
+
+    Returns
+    -------
+    mistimed
+        If they were read early or late, by three sigma of the instants.
+    following
+        If they follow the others several times worse than usual.
+
+    References
+    ----------
+    Section 6 of the suite's notes: three sigma of the instants times the rate of change.
+    """
+    doubt_s = TIMING_SIGMAS * time_sigma_s
+    reach = max(1, int(np.ceil(doubt_s / period_s)))
+    mistimed = _swings(readings, at, reach) * min(1.0, doubt_s / (reach * period_s))
+    return mistimed, MIDDLING_LEVELS * follows * _swings(readings, at, 1)
+
+
+def _swings(readings: Floats, at: Rows, reach: int) -> Floats:
+    """How much the one that differs the most reads differently within so many readings, (n,)."""
+    around = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, len(readings) - 1)
+    beside = readings[around]
+    known = np.isfinite(beside)
+    low = np.where(known, beside, np.inf).min(axis=1)
+    high = np.where(known, beside, -np.inf).max(axis=1)
+    swings: Floats = np.maximum(high - low, 0.0).max(axis=1, initial=0.0)
+    return swings
 
 
 def innovations(

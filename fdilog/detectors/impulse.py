@@ -1,22 +1,24 @@
-"""Single readings far off from what was to be expected, which no other gyro confirms.
+"""Readings far off from what was to be expected, which no other gyro confirms: one, or a few.
 
 A channel accuses itself here. What was to be expected follows from its neighbours and from the
 other gyros of its axis (`fdilog.prediction`). A shock of the airframe is felt along every axis and
-by every source, a character lost on a serial line by one channel alone.
+by every source, a character lost on a serial line by one channel alone. A few readings in a row
+stand off from those before and after (`fdilog.bursts`), while the others go on.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.bursts import short_moments
 from fdilog.config import Config
 from fdilog.finding import Evidence
-from fdilog.outliers import LEVEL, least_levels
-from fdilog.prediction import deviations, innovations
+from fdilog.outliers import LEVEL, MIDDLING_LEVELS, least_levels
+from fdilog.prediction import TIMING_SIGMAS, deviations, follows, innovations, off_in_motion
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
@@ -30,12 +32,10 @@ Floats = NDArray[np.float64]
 # holds 120 readings. It is as short as that because vibration swells and dies within seconds.
 NEIGHBOURHOOD_S = 2.0
 FEWEST_AROUND = 120
-# Many impulses are no level. So the level of a reading is five middling ones at most: of the ten
+# Many impulses are no level. So the level of a reading is a few middling ones at most: of the ten
 # before it or the ten after, whichever shake more, but of the flight at least. An impulse among ten
-# touches three and does not move their middle. The 95 % are three to five middling readings where
-# vibration is even; no reading of a recorded quadcopter stands out further for this than without.
+# touches three and does not move their middle.
 BESIDE = 10
-MIDDLING_LEVELS = 5.0
 # The level of normal readings, in sigmas; where tails are heavy it is more.
 NORMAL_LEVEL = 1.96
 SECONDS_PER_HOUR = 3600.0
@@ -49,9 +49,6 @@ CONFIRMING_LEVELS, CONFIRMING_LEVELS_ON_AXIS = 3.0, 1.5
 # after differ by less than this part of it. At a step, where a bias begins or ends, by all of it.
 RETURNED = 0.5
 RETURNING_READINGS = 2
-# By so many sigmas of what sampling instants differ by, as all tolerances of the suite, a reading
-# may be early or late: in a hard turn, a few milliseconds make tens of a deg/s.
-TIMING_SIGMAS = 3.0
 # Without a second gyro that was read together with it, within as much, only the other axes of the
 # source can confirm a shock, and some shocks turn the airframe about one axis alone: landings of
 # recorded flights reach 58 deg/s, six times the tolerance.
@@ -63,13 +60,13 @@ READINGS_A_MANOEUVRE = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ImpulseDetector:
-    """Impulses of single samples, each channel judged by itself."""
+    """Impulses of one reading or a few, each channel judged by itself."""
 
-    description: ClassVar[str] = "single readings far off, confirmed by no other gyro"
+    description: ClassVar[str] = "one reading or a few far off, confirmed by no other gyro"
     stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
-        """Give one window of one sample for every impulse."""
+        """Give one window for every impulse."""
         table, config = survey.table, survey.config
         limit = float(np.radians(config.tolerance.impulse_deg_s))
         deviation = deviations(table)
@@ -81,6 +78,17 @@ class ImpulseDetector:
             for place in range(len(channels))
             for impulse in _impulses(table, axis, place, config)
         ]
+        rest = _without(table, found) if found else table
+        found += [
+            _Impulse(
+                channel=one.channel,
+                start=one.start,
+                stop=one.stop,
+                size=one.size,
+                level=one.level,
+            )
+            for one in short_moments(rest, config)
+        ]
         if not found:
             return []
         return [_evidence(table, found, limit, config.windows.confidence)]
@@ -88,10 +96,11 @@ class ImpulseDetector:
 
 @dataclass(frozen=True, kw_only=True)
 class _Impulse:
-    """A sample of a channel that stands out: by how much, and the level around it. [rad/s]"""
+    """A span of a channel that stands out: by how much, and the level around it. [rad/s]"""
 
     channel: int
-    sample: int
+    start: int
+    stop: int
     size: float
     level: float
 
@@ -170,7 +179,8 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     """List the samples of one channel that stand out alone."""
     channel = int(axis.channels[place])
     alone = _alone(table, axis, place, config)
-    too_slow = table.channels[channel].rate_hz * MANOEUVRE_S < READINGS_A_MANOEUVRE
+    described = table.channels[channel]
+    too_slow = described.rate_hz * MANOEUVRE_S < READINGS_A_MANOEUVRE
     off, level = axis.off[:, place], axis.level[:, place]
     size = np.abs(off)
     limit = np.where(alone, ALONE_FACTOR, 1.0) * np.radians(config.tolerance.impulse_deg_s)
@@ -187,8 +197,15 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     # Both neighbours are there: the deviation of the first and the last reading is zero.
     highest = size[at] >= np.maximum(size[rows[here - 1]], size[rows[here + 1]])
     returned = _returned(table, axis, place, rows, here) <= RETURNED * size[at]
-    doubt_s = TIMING_SIGMAS * config.noise.time_sigma_s
-    tolerance = np.hypot(limit[at], _mistimed(table, axis, place, at, doubt_s))
+    beside = table.rate_rad_s[np.ix_(rows, np.delete(axis.channels, place))]
+    mistimed, following = off_in_motion(
+        beside,
+        here,
+        1.0 / described.rate_hz,
+        config.noise.time_sigma_s,
+        follows(off[rows], beside),
+    )
+    tolerance = np.maximum(np.hypot(limit[at], mistimed), following)
     at = at[highest & returned & (size[at] > tolerance)]
     # An impulse stands in what is expected of the others too, and who is off is the likeliest.
     mine = axis.strangeness(place, at)
@@ -196,9 +213,24 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
         if other != place:
             mine = np.where(axis.strangeness(other, at) < mine, np.inf, mine)
     return [
-        _Impulse(channel=channel, sample=int(k), size=float(off[k]), level=float(level[k]))
-        for k in at[np.isfinite(mine)]
+        _Impulse(
+            channel=channel,
+            start=k,
+            stop=k + 1,
+            size=float(off[k]),
+            level=float(level[k]),
+        )
+        for k in at[np.isfinite(mine)].tolist()
     ]
+
+
+def _without(table: ChannelTable, found: list[_Impulse]) -> ChannelTable:
+    """Leave out the readings that are impulses already."""
+    rates, valid = table.rate_rad_s.copy(), table.valid.copy()
+    for one in found:
+        rates[one.start, one.channel] = np.nan
+        valid[one.start, one.channel] = False
+    return replace(table, rate_rad_s=rates, valid=valid)
 
 
 def _alone(table: ChannelTable, axis: _Axis, place: int, config: Config) -> NDArray[np.bool_]:
@@ -268,31 +300,6 @@ def _returned(
     return change
 
 
-def _mistimed(
-    table: ChannelTable, axis: _Axis, place: int, samples: NDArray[np.int64], doubt_s: float
-) -> Floats:
-    """By how much readings may be off because they were read early or late, (n,). [rad/s]
-
-    It is what the peers read differently meanwhile.
-
-    References
-    ----------
-    Section 6 of the suite's notes: three sigma of the instants times the rate of change.
-    """
-    channel = int(axis.channels[place])
-    rows = np.flatnonzero(table.valid[:, channel])
-    at = np.searchsorted(rows, samples)
-    period_s = 1.0 / table.channels[channel].rate_hz
-    reach = max(1, int(np.ceil(doubt_s / period_s)))
-    around = rows[np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, len(rows) - 1)]
-    beside = table.rate_rad_s[around[:, :, None], np.delete(axis.channels, place)]
-    known = np.isfinite(beside)
-    low = np.where(known, beside, np.inf).min(axis=1)
-    high = np.where(known, beside, -np.inf).max(axis=1)
-    moved = np.maximum(high - low, 0.0).max(axis=1, initial=0.0)
-    return np.asarray(moved * min(1.0, doubt_s / (reach * period_s)), np.float64)
-
-
 def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
     """Level that `LEVEL` of the readings about each stay below, a third of them at a time."""
     rows = np.flatnonzero(table.valid[:, channel])
@@ -308,8 +315,9 @@ def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
         level[number] = np.quantile(size[max(0, first - third) : first + 2 * third], LEVEL)
     levels = np.zeros(len(values))
     level = np.repeat(level, third)[: len(size)]
-    far = np.flatnonzero(size > MIDDLING_LEVELS * np.median(size)) if len(size) else rows[:0]
-    level[far] = np.minimum(level[far], MIDDLING_LEVELS * _middling(size, far))
+    if len(size):
+        far = np.flatnonzero(size > MIDDLING_LEVELS * np.median(size))
+        level[far] = np.minimum(level[far], MIDDLING_LEVELS * _middling(size, far))
     levels[rows] = level
     return levels
 
@@ -336,11 +344,12 @@ def _evidence(
         accused[row, one.channel] = 1
         low[row, one.channel] = one.size - sigmas * one.level
         high[row, one.channel] = one.size + sigmas * one.level
-    samples = np.array([one.sample for one in found])
+    start = np.array([one.start for one in found])
+    stop = np.array([one.stop for one in found])
     return Evidence(
         detector="impulse",
         kind="impulse",
-        windows=spans(table, samples, samples + 1),
+        windows=spans(table, start, stop),
         tested=accused > 0,
         low=low,
         high=high,
