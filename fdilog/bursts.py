@@ -10,19 +10,20 @@ one more window, for all detectors to look at; or, of fewer readings than tell a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import Config
-from fdilog.edges import best_step
+from fdilog.edges import Shape, best_step
 from fdilog.finding import Windows
 from fdilog.geometry import leave_one_out
 from fdilog.outliers import LEVEL, least_levels
 from fdilog.prediction import follows, off_in_motion
 from fdilog.table import ChannelTable
+from fdilog.traces import MANOEUVRE_S
 from fdilog.usual import usual
 from fdilog.windows import spans
 
@@ -42,6 +43,8 @@ LONGER = 1.5
 BEGINS = 4
 # What is usual is told by so many blocks on either side, a few of which may hold faults.
 BLOCKS_AROUND = 10
+# What readings usually stand off by is told by so many before and after.
+READINGS_BESIDE = 60
 # A block that others stand off in, by this part of it on its axis or by all of it on any, is a
 # blow or a turn of the vehicle.
 CONFIRMED, CONFIRMED_ELSEWHERE = 0.3, 1.0
@@ -62,7 +65,7 @@ class Moment:
     size
         How far it stands off, on average. [rad/s]
     level
-        What few blocks like it reach by chance. [rad/s]
+        How far one reading in twenty beside it does. [rad/s]
     """
 
     gain: float
@@ -91,8 +94,14 @@ def burst_windows(table: ChannelTable, config: Config) -> Windows | None:
 
 
 def short_moments(table: ChannelTable, config: Config) -> list[Moment]:
-    """List the moments of two readings and more, of fewer than a window needs."""
-    within = (min(SHORT_BLOCKS), FEWEST_READINGS - 1)
+    """List the moments of two readings and more, of fewer than a window needs.
+
+    Nothing turns there and back within them: what shows them is off, not the gyros that do not.
+    """
+    if not table.period_s:
+        return []
+    most = min(FEWEST_READINGS - 1, int(MANOEUVRE_S / table.period_s))
+    within = (min(SHORT_BLOCKS), most)
     return [one for error in _errors(table) for one in error.moments(SHORT_BLOCKS, within, config)]
 
 
@@ -140,32 +149,39 @@ class _Error:
         for size in blocks:
             block_s = size * self.table.period_s
             per_hour = 3600.0 / block_s * len(self.table.channels) * len(blocks)
-            for begin, level in self._standing_out(size, per_hour, config):
-                first = begin - size
-                around = self.error[first : begin + 2 * size]
-                beside = np.concatenate([around[: size // 2], around[-(size // 2) :]])
-                step = best_step(around - np.median(beside))
-                if readings[0] <= step.stop - step.start <= readings[1]:
-                    moment = Moment(
-                        gain=step.gain,
-                        start=int(self.at[first + step.start]),
-                        stop=int(self.at[first + step.stop - 1]) + 1,
-                        channel=self.channel,
-                        size=step.size,
-                        level=level,
-                    )
-                    found.append(moment)
+            for begin in self._standing_out(size, per_hour, config):
+                shape = self._shape(begin, size)
+                if readings[0] <= shape.stop - shape.start <= readings[1]:
+                    found.append(self._moment(shape))
         kept: list[Moment] = []
         for one in sorted(found, reverse=True):
             if all(one.stop <= other.start or one.start >= other.stop for other in kept):
                 kept.append(one)
         return kept
 
-    def _standing_out(self, size: int, per_hour: float, config: Config) -> list[tuple[int, float]]:
-        """List where blocks of one length begin that stand off by more than chance lets them.
+    def _shape(self, begin: int, size: int) -> Shape:
+        """Find the span that explains the most of a block and of what is beside it."""
+        beside = max(size, FEWEST_READINGS)
+        first = max(0, begin - beside)
+        around = self.error[first : begin + size + beside]
+        outer = np.concatenate([around[: beside // 2], around[-(beside // 2) :]])
+        step = best_step(around - np.median(outer))
+        return replace(step, start=first + step.start, stop=first + step.stop)
 
-        With each goes the level that few blocks around it reach. [rad/s]
-        """
+    def _moment(self, shape: Shape) -> Moment:
+        before = self.error[max(0, shape.start - READINGS_BESIDE) : shape.start]
+        beside = np.concatenate([before, self.error[shape.stop : shape.stop + READINGS_BESIDE]])
+        return Moment(
+            gain=shape.gain,
+            start=int(self.at[shape.start]),
+            stop=int(self.at[shape.stop - 1]) + 1,
+            channel=self.channel,
+            size=shape.size,
+            level=float(np.quantile(np.abs(beside - np.median(beside)), LEVEL)),
+        )
+
+    def _standing_out(self, size: int, per_hour: float, config: Config) -> list[int]:
+        """List where blocks of one length begin that stand off by more than chance lets them."""
         limit = np.radians(config.tolerance.impulse_deg_s)
         reach = size + size // 2
         first = np.arange(reach, len(self.error) - size - reach, max(1, size // BEGINS))
@@ -189,10 +205,9 @@ class _Error:
         level *= np.quantile(most / level, LEVEL)
         peaks = most / level
         far = peaks > least_levels(peaks[peaks > 1.0], per_hour, config)
-        standing = zip(*(one[far].tolist() for one in (begins, most, level)), strict=True)
         return [
-            (begin, usually)
-            for begin, peak, usually in standing
+            begin
+            for begin, peak in zip(begins[far].tolist(), most[far].tolist(), strict=True)
             if peak > self._in_motion(begin, size, limit, config)
             and not self._confirmed(begin, size, peak)
         ]

@@ -253,6 +253,11 @@ def _confirmed(
     left = np.abs(np.delete(axis.without(place, peaks), place, axis=1))
     confirmed = np.asarray((left > CONFIRMED * size[:, None]).any(axis=1), bool)
     channel = int(axis.channels[place])
+    # Where a peer was not read, its neighbours alone tell what was expected; others may read it.
+    plain = axis.off[peaks, place] == axis.deviation[peaks, channel]
+    beside_it = table.rate_rad_s[np.ix_(peaks, np.delete(axis.channels, place))]
+    apart = np.abs(beside_it - table.rate_rad_s[peaks, channel][:, None])
+    confirmed |= plain & (apart <= CONFIRMED * size[:, None]).any(axis=1)
     source = table.channels[channel].source
     for other, described in enumerate(table.channels):
         shown = np.abs(axis.deviation[:, other])

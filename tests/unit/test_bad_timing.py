@@ -132,6 +132,20 @@ def test_a_blow_that_a_gyro_read_at_another_instant_misses_is_no_impulse() -> No
     assert judge(channel_table(recording(*sources)), CONFIG).findings == ()
 
 
+def test_what_one_of_its_peers_reads_too_is_no_impulse_of_a_slow_gyro() -> None:
+    rng = np.random.default_rng(4)
+    sources: list[tuple[Floats, Floats]] = []
+    for rate_hz in (50.0, 10.0, 10.0):
+        stamp_s = np.arange(0.0, 300.0, 1.0 / rate_hz)
+        if len(sources) == 2:  # it misses the blow
+            stamp_s = stamp_s[np.abs(stamp_s - 140.0) > 0.15]
+        rate = rng.normal(0.0, 4.0 * DEG, (len(stamp_s), 3))
+        # At ten readings a second the blow is one reading, at fifty several, none of them sudden.
+        rate[:, 0] += 150.0 * DEG * np.exp(-(((stamp_s - 140.0) / 0.05) ** 2))
+        sources.append((stamp_s, rate))
+    assert judge(channel_table(recording(*sources)), CONFIG).findings == ()
+
+
 def test_an_impulse_of_a_gyro_that_is_read_together_with_another_is_still_found() -> None:
     table = triads(2, seconds=100.0, rate_hz=25.0)
     rate = table.rate_rad_s.copy()
