@@ -197,9 +197,11 @@ class _Error:
         most = groups.max(axis=1)
         begins = first[np.arange(len(groups)) * BEGINS + groups.argmax(axis=1)]
         around = np.pad(most, BLOCKS_AROUND, mode="symmetric")
-        view = np.lib.stride_tricks.sliding_window_view(around, 2 * BLOCKS_AROUND + 1)
-        # Where nothing moves, what does is held against the flight.
-        level = np.maximum(np.median(view, axis=1), np.median(most))
+        view = np.lib.stride_tricks.sliding_window_view(around, BLOCKS_AROUND)
+        middling = np.median(view, axis=1)
+        # Where nothing moves, what does is held against the flight, and the end of noise against it.
+        beside = np.maximum(middling[: len(most)], middling[BLOCKS_AROUND + 1 :])
+        level = np.maximum(beside, np.median(most))
         if not (level > 0.0).all():
             return []
         level *= np.quantile(most / level, LEVEL)

@@ -79,6 +79,8 @@ class ImpulseDetector:
             for impulse in _impulses(table, axis, place, config)
         ]
         rest = _without(table, found) if found else table
+        confidence = config.windows.confidence
+        levels = float(student_quantile(np.array([np.inf]), confidence)[0]) / NORMAL_LEVEL
         found += [
             _Impulse(
                 channel=one.channel,
@@ -88,10 +90,11 @@ class ImpulseDetector:
                 level=one.level,
             )
             for one in short_moments(rest, config)
+            if abs(one.size) > levels * one.level
         ]
         if not found:
             return []
-        return [_evidence(table, found, limit, config.windows.confidence)]
+        return [_evidence(table, found, limit, levels, confidence)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,16 +342,15 @@ def _middling(size: Floats, at: NDArray[np.int64]) -> Floats:
 
 
 def _evidence(
-    table: ChannelTable, found: list[_Impulse], limit: float, confidence: float
+    table: ChannelTable, found: list[_Impulse], limit: float, levels: float, confidence: float
 ) -> Evidence:
     shape = (len(found), len(table.channels))
     accused = np.zeros(shape, np.int8)
     low, high = np.full(shape, np.nan), np.full(shape, np.nan)
-    sigmas = float(student_quantile(np.array([np.inf]), confidence)[0]) / NORMAL_LEVEL
     for row, one in enumerate(found):
         accused[row, one.channel] = 1
-        low[row, one.channel] = one.size - sigmas * one.level
-        high[row, one.channel] = one.size + sigmas * one.level
+        low[row, one.channel] = one.size - levels * one.level
+        high[row, one.channel] = one.size + levels * one.level
     start = np.array([one.start for one in found])
     stop = np.array([one.stop for one in found])
     return Evidence(
