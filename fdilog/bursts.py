@@ -199,7 +199,7 @@ class _Error:
         around = np.pad(most, BLOCKS_AROUND, mode="symmetric")
         view = np.lib.stride_tricks.sliding_window_view(around, BLOCKS_AROUND)
         middling = np.median(view, axis=1)
-        # Where nothing moves, what does is held against the flight, and the end of noise against it.
+        # Where nothing moves, what does is held against the flight; where noise ends, against it.
         beside = np.maximum(middling[: len(most)], middling[BLOCKS_AROUND + 1 :])
         level = np.maximum(beside, np.median(most))
         if not (level > 0.0).all():
