@@ -223,6 +223,9 @@ class _Error:
     def _in_motion(self, begin: int, size: int, limit: float, config: Config) -> float:
         """Say how far a block may stand off because all turn quickly in or beside it. [rad/s]"""
         told, usually = self._told
+        if size < FEWEST_READINGS:
+            # Where others turn by as much meanwhile, it may be early or late.
+            limit = max(limit, float(np.ptp(told[begin - size : begin + 2 * size])))
         mistimed, following = off_in_motion(
             told,
             np.arange(begin - 1, begin + size + 1),

@@ -18,6 +18,8 @@ from fdilog.table import ChannelTable
 REJOINED_S = 1.0
 # Vibration changes with the throttle, within seconds.
 SHAKING_S = 1.0
+# With so much of the usual vibration, or less, it stands. [1]
+STILL = 0.25
 # Turns that are too fast for a gyro and no further apart than this are told as one. [s]
 TURNS_S = 60.0
 # What covers so much of a finding, or of a flight, explains it.
@@ -65,7 +67,9 @@ def noise_findings(
         rows = first + np.flatnonzero(shown)
         size = _ratio(evidence, channel, cluster.start, cluster.stop)
         inside = (rows >= cluster.start) & (rows < cluster.stop)
-        shaking = _shaking(table, deviation[rows][:, peers])
+        shaking, still = _shaking(table, deviation[rows][:, peers])
+        told = inside | ~still
+        rows, inside, shaking = rows[told], inside[told], shaking[told]
         low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, size.estimate)
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
         found = Finding(
@@ -96,19 +100,29 @@ def _of_scale(noise: Finding, scale: Finding, flight_s: float) -> bool:
     return together_s >= MOST * length_s or scale.end_s - scale.start_s >= MOST * flight_s
 
 
-def _shaking(table: ChannelTable, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
+def _shaking(
+    table: ChannelTable, deviation: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Tell how much the other gyros shake about each reading, and never much less than usual.
 
     Parameters
     ----------
     deviation : (n, k)
         Of the others, as white sigmas. [rad/s]
+
+    Returns
+    -------
+    shaking : (n,)
+        [rad/s]
+    still : (n,) bool
+        Where they hardly do, as on the ground: that is quieter than any flight.
     """
     power = (deviation**2).mean(axis=1)
     width = min(len(power), max(1, round(SHAKING_S / table.period_s)))
     around = np.convolve(power, np.ones(width) / width, mode="same")
-    shaking: NDArray[np.float64] = np.sqrt(around + np.median(around))
-    return np.where(shaking > 0.0, shaking, 1.0)
+    usual = float(np.median(around))
+    shaking = np.sqrt(around + usual)
+    return np.where(shaking > 0.0, shaking, 1.0), around < STILL**2 * usual
 
 
 def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from fdilog.prediction import deviations, deviations_as_logged, innovations
 from fdilog.recording import Recording, Stream
 from fdilog.sources import channel_table
 from fdilog.table import ChannelTable
-from tests.tables import DEG, table_of
+from tests.tables import DEG, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity", "impulse", "noise"))
 
@@ -200,6 +200,19 @@ def test_a_coarse_gyro_that_mostly_repeats_itself_at_rest_is_not_noisy_for_a_sho
     # As when the stamps of the two differ: compared as logged, before scale errors are taken out.
     table = replace(table, deviation_rad_s=deviations(table))
     assert judge(table, CONFIG).findings == ()
+
+
+def test_noise_soon_after_take_off_does_not_begin_with_it() -> None:
+    table = triads(3, seconds=75.0)
+    rng = np.random.default_rng(9)
+    rate = table.rate_rad_s * np.where(table.time_s >= 25.0, 1.0, 0.02)[:, None]
+    rows = (table.time_s >= 30.0) & (table.time_s < 50.0)
+    usual = deviations(table)[rows, 1].std() / np.sqrt(1.5)
+    rate[rows, 1] += rng.normal(0.0, 3.9 * usual, int(rows.sum()))
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("noise", ("imu0.y",))
+    assert finding.start_s == pytest.approx(30.0, abs=0.3)
+    assert finding.end_s == pytest.approx(50.0, abs=0.3)
 
 
 def test_loud_noise_of_half_a_minute_ends_where_it_does_and_is_as_large_as_it_is() -> None:
