@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -22,6 +22,9 @@ SHAKING_S = 1.0
 STILL = 0.25
 # Turns that are too fast for a gyro and no further apart than this are told as one. [s]
 TURNS_S = 60.0
+# So many impulses, no further apart than that, are one gyro that fails again and again; the instant
+# and size of each of a few are worth a look.
+GLITCHES = 10
 # What covers so much of a finding, or of a flight, explains it.
 MOST = 0.5
 # A span of noise is looked for between so many pieces at most, then between readings.
@@ -299,11 +302,19 @@ def _guaranteed(table: ChannelTable, evidence: Evidence, cluster: Cluster) -> Fi
 def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> list[Finding]:
     """Turn evidence of detectors that need no comparison into findings.
 
-    There is one a channel and run, and one for all the turns of some minutes that were too fast.
+    There is one a channel and run, one for all the turns of some minutes that were too fast, and
+    one for all the impulses of a gyro that has many.
     """
     said = [(item, accusation) for item in evidence for accusation in accusations(item)]
     clipped = [accusation for _, accusation in said if accusation.kind == "saturated"]
-    return [
+    impulses = {accusation: item for item, accusation in said if accusation.kind == "impulse"}
+    glitching = [
+        jumps
+        for jumps in clusters(table.time_s, list(impulses), TURNS_S)
+        if len(jumps.members) >= GLITCHES
+    ]
+    together = {*clipped, *(one for jumps in glitching for one in jumps.members)}
+    findings = [
         Finding(
             kind=one.kind,
             suspects=tuple(table.names[channel] for channel in sorted(one.suspects)),
@@ -314,8 +325,27 @@ def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> 
             detail=_WORDS.get(one.kind, ""),
         )
         for item, one in said
-        if one.kind != "saturated"
-    ] + [_saturation(table, cluster) for cluster in clusters(table.time_s, clipped, TURNS_S)]
+        if one not in together
+    ]
+    findings += [_saturation(table, turns) for turns in clusters(table.time_s, clipped, TURNS_S)]
+    return findings + [_glitches(table, jumps, impulses) for jumps in glitching]
+
+
+def _glitches(
+    table: ChannelTable, jumps: Cluster, impulses: Mapping[Accusation, Evidence]
+) -> Finding:
+    """Make one finding of the impulses of a gyro that has many, which are of many sizes."""
+    sizes = [_own_size(impulses[one], one) for one in jumps.members]
+    far = np.degrees([abs(size.estimate) for size in sizes if size is not None])
+    return Finding(
+        kind="impulse",
+        suspects=tuple(table.names[channel] for channel in sorted(jumps.suspects)),
+        start_s=float(table.time_s[jumps.start]),
+        end_s=float(table.time_s[jumps.stop - 1]),
+        size=None,
+        detectors=tuple(sorted({one.detector for one in jumps.members})),
+        detail=f"{len(far)} times {_WORDS['impulse']}: by {far.min():.3g} to {far.max():.3g} deg/s",
+    )
 
 
 def _saturation(table: ChannelTable, turns: Cluster) -> Finding:

@@ -127,6 +127,8 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
     interval = f"{size.interval} {size.unit} ({size.confidence})" if size else ""
     if finding.size and finding.size.low == finding.size.high:
         interval = "exact"
+    # Impulses that are one finding are of many sizes.
+    unsized = "of many" if finding.kind == "impulse" else "not bounded"
     facts = [
         Fact(label="What", value=sentences.KIND_NAME[finding.kind]),
         Fact(
@@ -136,7 +138,7 @@ def finding_row(number: int, finding: Finding, analysis: Analysis) -> FindingRow
         Fact(label="When", value=when),
         Fact(
             label="Size" if any_suspect else f"Size, if {shown(finding.suspects[0])}",
-            value=str(size or ("not bounded" if finding.kind in SIZE_UNIT else "")),
+            value=str(size or (unsized if finding.kind in SIZE_UNIT else "")),
         ),
         Fact(label="Interval", value=interval),
         Fact(label="Tolerance", value=tolerance),

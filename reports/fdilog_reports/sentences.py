@@ -198,7 +198,7 @@ _UNSIZED = {
     "drift": "drifted, how fast the log does not bound,",
     "scale": "read rates in a wrong scale, by how much the log does not bound,",
     "noise": "was noisier than the others",
-    "impulse": "jumped",
+    "impulse": "jumped again and again",
     "dropout": "was silent while others went on",
     "stuck": "was stuck at one value",
     "dead": "was dead: it read zero",

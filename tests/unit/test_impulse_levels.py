@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from fdilog.analysis import judge
 from fdilog.config import Config
 from fdilog.detectors.impulse import (
     BESIDE,
@@ -17,6 +18,7 @@ from fdilog.detectors.impulse import (
     ImpulseDetector,
     _levels,
 )
+from fdilog.findings import self_evident_findings
 from fdilog.windows import Survey, spans
 from tests.tables import table_of, triads
 
@@ -69,3 +71,21 @@ def test_many_impulses_do_not_make_each_other_usual(share: float, sources: int) 
     (evidence,) = ImpulseDetector().detect(survey)
     assert np.flatnonzero(evidence.accused.any(axis=0)).tolist() == [1]
     assert len(evidence.accused) > 0.6 * hit.sum()
+    (finding,) = self_evident_findings(table, [evidence])
+    assert (finding.kind, finding.suspects, finding.size) == ("impulse", ("imu0.y",), None)
+    assert finding.start_s == table.time_s[evidence.windows.start.min()]
+    assert finding.end_s == table.time_s[evidence.windows.stop.max() - 1]
+    assert f"{len(evidence.accused)} times" in finding.detail
+
+
+def test_a_few_impulses_have_each_their_instant_and_size_and_pauses_part_many() -> None:
+    table = triads(3, seconds=600.0)
+    rates = table.rate_rad_s.copy()
+    rates[5000:5600:50, 1] += 1.0  # twelve of them
+    rates[15000:15500:100, 1] += 1.0
+    table = table_of(table.time_s, rates)
+    findings = judge(table, Config()).findings
+    assert {(f.kind, f.suspects) for f in findings} == {("impulse", ("imu0.y",))}
+    many = [f for f in findings if f.size is None]
+    assert [(f.start_s, f.end_s) for f in many] == [(100.0, 111.0)]
+    assert [f.start_s for f in findings if f.size] == [300.0, 302.0, 304.0, 306.0, 308.0]
