@@ -85,7 +85,7 @@ class Case:
 CASES = (
     *(Case("bias", size, 20.0) for size in (1.5, 2.0, 3.0, 5.0, 50.0)),
     *(Case("bias", size, 0.5) for size in (50.0, 200.0)),
-    Case("bias", 50.0, 0.16),
+    Case("bias", 50.0, 0.2),
     Case("drift", 0.2, 20.0),
     Case("scale", 1.2, 20.0),
     Case("noise", 5.0, 20.0),
