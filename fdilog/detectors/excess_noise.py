@@ -8,9 +8,9 @@ others are taken out (`fdilog.prediction`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -79,17 +79,25 @@ class NoiseDetector:
         least = np.radians(config.tolerance.bias_deg_s)
         deviation, own = shown_noise(table)
         rounding = _rounding(table)
+
+        @cache
+        def told(axis: tuple[int, ...]) -> NDArray[np.int64]:
+            return _told(deviation, axis)
+
+        @cache
+        def sigmas(axis: tuple[int, ...], k: int) -> tuple[Floats, Floats]:
+            return _window_sigmas(deviation[told(axis), k], survey, told(axis), rounding[k])
+
         for channel in range(shape[1]):
             peers = noise_peers(table, channel)
             if not len(peers):
                 continue
-            rows = _told(deviation, [channel, *peers])
-            at_least = partial(_window_sigmas, survey=survey, rows=rows, of_both=np.minimum)
-            at_most = partial(_window_sigmas, survey=survey, rows=rows, of_both=np.maximum)
-            mine = at_least(deviation[rows, channel], least=rounding[channel])
-            others = [at_most(deviation[rows, k], least=rounding[k]) for k in peers]
+            axis = tuple(sorted([channel, *peers.tolist()]))
+            rows = told(axis)
+            mine, _ = sigmas(axis, channel)
+            others = [sigmas(axis, k)[1] for k in peers.tolist()]
             theirs = np.sqrt(np.mean(np.square(others), axis=0))
-            alone = at_least(own[rows, channel], least=rounding[channel])
+            alone, _ = _window_sigmas(own[rows, channel], survey, rows, rounding[channel])
             counts = _window_counts(survey, rows)
             logged = _ratio(survey, counts, mine, theirs)
             found = logged.beyond & (mine > least)
@@ -204,18 +212,17 @@ def _window_sigmas(
     values: Floats,
     survey: Survey,
     rows: NDArray[np.int64],
-    of_both: Callable[[Floats, Floats], Floats],
     least: float,
-) -> Floats:
+) -> tuple[Floats, Floats]:
     """Sigma in every window of values given at some samples, about zero, what is far off capped.
 
     What is far off is told by the median of the window, and again by those of its pieces: of a
     window that holds both rest and flight the median may be that of either, and noise in a part of
-    a window is no noise of the window. The smaller or the larger answer is taken.
+    a window is no noise of the window. The smaller answer is returned, and the larger.
     """
     first = np.searchsorted(rows, survey.windows.start)
     counts = _window_counts(survey, rows)
-    sigmas = np.full(len(counts), np.nan)
+    smaller, larger = np.full(len(counts), np.nan), np.full(len(counts), np.nan)
     size = np.abs(values)
     for count in np.unique(counts[counts >= FEWEST_SAMPLES]):
         here = np.flatnonzero(counts == count)
@@ -226,8 +233,10 @@ def _window_sigmas(
             readings = view[first[block]]
             even = readings[:, :told].reshape(len(block), pieces, -1)
             by_piece = np.sqrt((capped_sigma(even, least) ** 2).mean(axis=1))
-            sigmas[block] = of_both(by_piece, capped_sigma(readings, least))
-    return sigmas
+            whole = capped_sigma(readings, least)
+            smaller[block] = np.minimum(by_piece, whole)
+            larger[block] = np.maximum(by_piece, whole)
+    return smaller, larger
 
 
 def capped_sigma(size: Floats, least: float | Floats = 0.0) -> Floats:
@@ -344,7 +353,7 @@ def _changed(
     sigma = capped_sigma(np.moveaxis(pieces, 1, 2))
     rounding = _rounding(table)[[channel, peer]]
     mine, theirs, shaking = (
-        _window_sigmas(column, survey, rows, np.minimum, least)
+        _window_sigmas(column, survey, rows, least)[0]
         for column, least in zip(readings.T, (*rounding, 0.0), strict=True)
     )
     sigma = sigma[(sigma > 0.0).all(axis=1)]
