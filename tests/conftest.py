@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,10 @@ settings.register_profile(
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parent.parent
+
+# A shell starts background jobs deaf to Ctrl-C, and what they start stays so: these tests use it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
