@@ -188,7 +188,8 @@ class _Work:
         for candidate in candidates:
             row = known.get(candidate.key)
             if candidate.error is not None:
-                self._refuse(candidate, "unreachable", candidate.error)
+                vehicle = vehicle_of({}, candidate.path, candidate.root)
+                self.store.refuse([(candidate, vehicle)], "unreachable", candidate.error)
                 continue
             state = (candidate.size, candidate.stamp)
             # Without a stamp nobody can tell: some servers say neither a tag nor a time.
@@ -237,10 +238,6 @@ class _Work:
         vehicle = vehicle_of(self.store.facts(result), candidate.path, candidate.root)
         self.store.assign(candidate, self._sha256[candidate.path], result, vehicle)
 
-    def _refuse(self, candidate: Candidate, kind: str, reason: str) -> None:
-        vehicle = vehicle_of({}, candidate.path, candidate.root)
-        self.store.refuse(candidate, kind, reason, vehicle)
-
     def _analyse(self, groups: Sequence[Sequence[Candidate]]) -> None:
         """Hand the first of each group to a worker; the others share its outcome."""
         if not groups:
@@ -273,18 +270,16 @@ class _Work:
 
     def _keep(self, group: Sequence[Candidate], outcome: Outcome | Lost) -> None:
         """Keep what became of a content for all logs that hold it."""
-        self.store.count(analysed=1)
         if isinstance(outcome, Lost):
             kind = "timeout" if outcome.timeout else "died"
             outcome = Outcome(error_kind=kind, error=outcome.reason)  # type: ignore[arg-type]
+        found: Mapping[str, Any] = json.loads(outcome.json) if outcome.json else {}
+        facts = found.get("log", {}).get("vehicle") or {}
+        owners = [(each, vehicle_of(facts, each.path, each.root)) for each in group]
         if outcome.error_kind is not None and outcome.error_kind not in LASTING:
-            for candidate in group:
-                self._refuse(candidate, outcome.error_kind, outcome.error)
+            self.store.refuse(owners, outcome.error_kind, outcome.error, analysed=1)
         else:
-            found: Mapping[str, Any] = json.loads(outcome.json) if outcome.json else {}
-            facts = found.get("log", {}).get("vehicle") or {}
             result = result_id(outcome.sha256, self.config_sha256)
-            owners = [(each, vehicle_of(facts, each.path, each.root)) for each in group]
             names = self._write(group[0].path, result, outcome)
             self.store.record(outcome, self.config_sha256, owners, names)
         if self.progress is not None:

@@ -109,11 +109,14 @@ class Store:
     def count(self, **counts: int) -> None:
         """Add to the counts of this run."""
         with self._transaction() as db:
-            for name, number in counts.items():
-                db.execute(
-                    f"UPDATE runs SET {name} = {name} + ? WHERE run = ?",  # noqa: S608  our names
-                    (number, self.run),
-                )
+            self._count(db, **counts)
+
+    def _count(self, db: sqlite3.Connection, **counts: int) -> None:
+        for name, number in counts.items():
+            db.execute(
+                f"UPDATE runs SET {name} = {name} + ? WHERE run = ?",  # noqa: S608  our names
+                (number, self.run),
+            )
 
     def finish(self) -> None:
         """Close the run."""
@@ -171,11 +174,18 @@ class Store:
             _assign(db, candidate, sha256=sha256, result=result, vehicle=vehicle)
 
     def refuse(
-        self, candidate: Candidate, kind: str, reason: str, vehicle: tuple[str, str]
+        self,
+        owners: Sequence[tuple[Candidate, tuple[str, str]]],
+        kind: str,
+        reason: str,
+        *,
+        analysed: int = 0,
     ) -> None:
-        """Give a log its reason in place of a result."""
+        """Give logs their reason in place of a result, all or none; and count the analyses."""
         with self._transaction() as db:
-            _assign(db, candidate, error_kind=kind, error=reason, vehicle=vehicle)
+            for candidate, vehicle in owners:
+                _assign(db, candidate, error_kind=kind, error=reason, vehicle=vehicle)
+            self._count(db, analysed=analysed)
 
     def record(
         self,
@@ -184,7 +194,10 @@ class Store:
         owners: Sequence[tuple[Candidate, tuple[str, str]]],
         reports: Sequence[str],
     ) -> str:
-        """Keep the result of a content, and point the logs that hold it at it, all or nothing."""
+        """Keep the result of a content, point the logs that hold it at it, and count it.
+
+        All or nothing.
+        """
         result = result_id(outcome.sha256, config_sha256)
         with self._transaction() as db:
             for table in _CHILDREN:
@@ -200,6 +213,7 @@ class Store:
             _insert_result(db, row, outcome)
             for candidate, vehicle in owners:
                 _assign(db, candidate, sha256=outcome.sha256, result=result, vehicle=vehicle)
+            self._count(db, analysed=1)
         return result
 
     def rows(self, query: str) -> list[sqlite3.Row]:

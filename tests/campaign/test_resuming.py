@@ -167,6 +167,21 @@ def test_a_report_that_was_deleted_is_made_again(tmp_path: Path, small: Path) ->
     assert len(list((output / "logs").glob("f0-*.html"))) == 1
 
 
+def test_what_could_not_be_kept_is_not_counted(
+    tmp_path: Path, small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, _: bytes) -> None:
+        raise FdilogError(f"{path}: cannot write: no space left on device")
+
+    output = tmp_path / "out"
+    with monkeypatch.context() as disk:
+        disk.setattr("fdilog.campaign.audit.write_whole", full)
+        with pytest.raises(FdilogError, match="no space left"):
+            audit([str(small)], output, Settings(jobs=1, formats=("json",)))
+    audit([str(small)], output, Settings(jobs=1, formats=("json",)))
+    assert analysed(output) == [0, 3]
+
+
 def test_two_audits_do_not_write_one_store(tmp_path: Path, small: Path) -> None:
     from fdilog.campaign.store import Store
 
