@@ -52,14 +52,12 @@ CONFIRMED, CONFIRMED_ELSEWHERE = 0.3, 1.0
 LONGEST_WITH_LOSSES = 1.25
 
 
-@dataclass(frozen=True, kw_only=True, order=True)
+@dataclass(frozen=True, kw_only=True)
 class Moment:
     """A span in which one channel stands off.
 
     Parameters
     ----------
-    gain
-        By how much a constant over it lessens the sum of squares. [(rad/s)^2]
     start, stop
         First sample of the table, one past the last.
     size
@@ -68,10 +66,9 @@ class Moment:
         How far one reading in twenty beside it does. [rad/s]
     """
 
-    gain: float
+    channel: int
     start: int
     stop: int
-    channel: int
     size: float
     level: float
 
@@ -145,19 +142,19 @@ class _Error:
         self, blocks: Sequence[int], readings: tuple[int, int], config: Config
     ) -> list[Moment]:
         """List the moments of so many readings; where some meet, the one that explains the most."""
-        found: list[Moment] = []
+        found: list[Shape] = []
         for size in blocks:
             block_s = size * self.table.period_s
             per_hour = 3600.0 / block_s * len(self.table.channels) * len(blocks)
             for begin in self._standing_out(size, per_hour, config):
                 shape = self._shape(begin, size)
                 if readings[0] <= shape.stop - shape.start <= readings[1]:
-                    found.append(self._moment(shape))
-        kept: list[Moment] = []
-        for one in sorted(found, reverse=True):
+                    found.append(shape)
+        kept: list[Shape] = []
+        for one in sorted(found, key=lambda shape: (shape.gain, shape.start), reverse=True):
             if all(one.stop <= other.start or one.start >= other.stop for other in kept):
                 kept.append(one)
-        return kept
+        return [self._moment(shape) for shape in kept]
 
     def _shape(self, begin: int, size: int) -> Shape:
         """Find the span that explains the most of a block and of what is beside it."""
@@ -172,10 +169,9 @@ class _Error:
         before = self.error[max(0, shape.start - READINGS_BESIDE) : shape.start]
         beside = np.concatenate([before, self.error[shape.stop : shape.stop + READINGS_BESIDE]])
         return Moment(
-            gain=shape.gain,
+            channel=self.channel,
             start=int(self.at[shape.start]),
             stop=int(self.at[shape.stop - 1]) + 1,
-            channel=self.channel,
             size=shape.size,
             level=float(np.quantile(np.abs(beside - np.median(beside)), LEVEL)),
         )

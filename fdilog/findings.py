@@ -60,20 +60,19 @@ def noise_findings(
     deviation, own = shown_noise(table)
     findings = []
     for cluster in clusters(table.time_s, said):
-        channel = max(
-            sorted(cluster.suspects),
-            key=lambda k: _ratio(evidence, k, cluster.start, cluster.stop).estimate,
-        )
+        sizes = {
+            k: _ratio(evidence, k, cluster.start, cluster.stop) for k in sorted(cluster.suspects)
+        }
+        channel = max(sizes, key=lambda k: sizes[k].estimate)
         first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
         peers = noise_peers(table, channel)
         shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
         rows = first + np.flatnonzero(shown)
-        size = _ratio(evidence, channel, cluster.start, cluster.stop)
         inside = (rows >= cluster.start) & (rows < cluster.stop)
         shaking, still = _shaking(table, deviation[rows][:, peers])
         told = inside | ~still
         rows, inside, shaking = rows[told], inside[told], shaking[told]
-        low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, size.estimate)
+        low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, sizes[channel].estimate)
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
         found = Finding(
             kind="noise",
@@ -337,15 +336,8 @@ def _glitches(
     """Make one finding of the impulses of a gyro that has many, which are of many sizes."""
     sizes = [_own_size(impulses[one], one) for one in jumps.members]
     far = np.degrees([abs(size.estimate) for size in sizes if size is not None])
-    return Finding(
-        kind="impulse",
-        suspects=tuple(table.names[channel] for channel in sorted(jumps.suspects)),
-        start_s=float(table.time_s[jumps.start]),
-        end_s=float(table.time_s[jumps.stop - 1]),
-        size=None,
-        detectors=tuple(sorted({one.detector for one in jumps.members})),
-        detail=f"{len(far)} times {_WORDS['impulse']}: by {far.min():.3g} to {far.max():.3g} deg/s",
-    )
+    by = f"by {far.min():.3g} to {far.max():.3g} deg/s"
+    return _of_many(table, jumps, f"{len(far)} times {_WORDS['impulse']}: {by}")
 
 
 def _saturation(table: ChannelTable, turns: Cluster) -> Finding:
@@ -353,14 +345,19 @@ def _saturation(table: ChannelTable, turns: Cluster) -> Finding:
     time_s = np.append(table.time_s, table.time_s[-1] + table.period_s)
     held_s = sum(float(time_s[one.stop] - time_s[one.start]) for one in turns.members)
     times = f"{len(turns.members)} times, " if len(turns.members) > 1 else ""
+    return _of_many(table, turns, f"{_WORDS['saturated']}; {times}{held_s:.3g} s in all")
+
+
+def _of_many(table: ChannelTable, cluster: Cluster, detail: str) -> Finding:
+    """Make one finding, without a size of its own, of what a channel shows many times."""
     return Finding(
-        kind="saturated",
-        suspects=tuple(table.names[channel] for channel in sorted(turns.suspects)),
-        start_s=float(table.time_s[turns.start]),
-        end_s=float(table.time_s[turns.stop - 1]),
+        kind=cluster.members[0].kind,
+        suspects=tuple(table.names[channel] for channel in sorted(cluster.suspects)),
+        start_s=float(table.time_s[cluster.start]),
+        end_s=float(table.time_s[cluster.stop - 1]),
         size=None,
-        detectors=tuple(sorted({one.detector for one in turns.members})),
-        detail=f"{_WORDS['saturated']}; {times}{held_s:.3g} s in all",
+        detectors=tuple(sorted({one.detector for one in cluster.members})),
+        detail=detail,
     )
 
 

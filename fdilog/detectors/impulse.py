@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.bursts import short_moments
+from fdilog.bursts import Moment, short_moments
 from fdilog.config import Config
 from fdilog.finding import Evidence
 from fdilog.outliers import LEVEL, MIDDLING_LEVELS, least_levels
@@ -81,31 +81,11 @@ class ImpulseDetector:
         rest = _without(table, found) if found else table
         confidence = config.windows.confidence
         levels = float(student_quantile(np.array([np.inf]), confidence)[0]) / NORMAL_LEVEL
-        found += [
-            _Impulse(
-                channel=one.channel,
-                start=one.start,
-                stop=one.stop,
-                size=one.size,
-                level=one.level,
-            )
-            for one in short_moments(rest, config)
-            if abs(one.size) > levels * one.level
-        ]
+        short = short_moments(rest, config)
+        found += [one for one in short if abs(one.size) > levels * one.level]
         if not found:
             return []
         return [_evidence(table, found, limit, levels, confidence)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Impulse:
-    """A span of a channel that stands out: by how much, and the level around it. [rad/s]"""
-
-    channel: int
-    start: int
-    stop: int
-    size: float
-    level: float
 
 
 def _group(table: ChannelTable, channel: int) -> list[int]:
@@ -178,7 +158,7 @@ class _Axis:
         return strange
 
 
-def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> list[_Impulse]:
+def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> list[Moment]:
     """List the samples of one channel that stand out alone."""
     channel = int(axis.channels[place])
     alone = _alone(table, axis, place, config)
@@ -216,7 +196,7 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
         if other != place:
             mine = np.where(axis.strangeness(other, at) < mine, np.inf, mine)
     return [
-        _Impulse(
+        Moment(
             channel=channel,
             start=k,
             stop=k + 1,
@@ -227,7 +207,7 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     ]
 
 
-def _without(table: ChannelTable, found: list[_Impulse]) -> ChannelTable:
+def _without(table: ChannelTable, found: list[Moment]) -> ChannelTable:
     """Leave out the readings that are impulses already."""
     rates, valid = table.rate_rad_s.copy(), table.valid.copy()
     for one in found:
@@ -324,15 +304,20 @@ def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
     levels = np.zeros(len(values))
     level = np.repeat(level, third)[: len(size)]
     if len(size):
-        far = np.flatnonzero(size > MIDDLING_LEVELS * np.median(size))
-        level[far] = np.minimum(level[far], MIDDLING_LEVELS * _middling(size, far))
+        usual = np.median(size)
+        far = np.flatnonzero(size > MIDDLING_LEVELS * usual)
+        middling = np.maximum(usual, _middling(size, far))
+        level[far] = np.minimum(level[far], MIDDLING_LEVELS * middling)
     levels[rows] = level
     return levels
 
 
 def _middling(size: Floats, at: NDArray[np.int64]) -> Floats:
-    """Find what is middling beside readings that stand out, their neighbours apart, (n,)."""
-    middling = np.full(len(at), np.median(size))
+    """Find what is middling beside readings that stand out, their neighbours apart, (n,).
+
+    Zero where there are too few.
+    """
+    middling = np.zeros(len(at))
     if len(size) >= 2 * (BESIDE + 2):
         for first in (at - 1 - BESIDE, at + 2):
             inside = np.clip(first, 0, len(size) - BESIDE)
@@ -342,7 +327,7 @@ def _middling(size: Floats, at: NDArray[np.int64]) -> Floats:
 
 
 def _evidence(
-    table: ChannelTable, found: list[_Impulse], limit: float, levels: float, confidence: float
+    table: ChannelTable, found: list[Moment], limit: float, levels: float, confidence: float
 ) -> Evidence:
     shape = (len(found), len(table.channels))
     accused = np.zeros(shape, np.int8)
