@@ -78,14 +78,22 @@ def _shape(table: ChannelTable, cluster: Cluster) -> Shape | None:
 
 
 def _finding(table: ChannelTable, cluster: Cluster, shape: Shape, config: Config) -> Finding | None:
-    found = scale_over(table, min(cluster.suspects), (shape.start, shape.stop), config)
-    if found is None or not found.dof[0] > 0.0:
-        return None
-    slope = float(found.slope[0])
-    half_width = float(found.half_width(config.windows.confidence)[0])
+    suspects = sorted(cluster.suspects)
+    sizes = []
+    for channel in suspects:
+        fitted = scale_over(table, channel, (shape.start, shape.stop), config)
+        if fitted is None:
+            return None
+        half_width = float(fitted.half_width(config.windows.confidence)[0])
+        sizes.append((float(fitted.slope[0]), half_width))
+    slope, half_width = sizes[0]
     if abs(slope) - half_width <= config.tolerance.scale:
         return None
-    names = tuple(table.names[channel] for channel in sorted(cluster.suspects))
+    # The rates that each suspect tells must show it: held against a noisy one, the other seems to
+    # read too little.
+    if not all(abs(size) > uncertain for size, uncertain in sizes):
+        return None
+    names = tuple(table.names[channel] for channel in suspects)
     return Finding(
         kind="scale",
         suspects=names,

@@ -62,6 +62,16 @@ def test_five_times_the_noise_is_a_finding_of_noise_and_nothing_else() -> None:
     assert finding.size.low < 5.0 < finding.size.high
 
 
+def test_a_gyro_that_reads_little_of_a_noisy_one_has_no_scale_error() -> None:
+    table = triads(2, seconds=400.0, sigma_deg_s=1.0)
+    rng = np.random.default_rng(1)
+    rows = (table.time_s >= 83.0) & (table.time_s < 332.0)
+    rate = table.rate_rad_s.copy()
+    rate[rows, 3] += rng.normal(0.0, 50.0 * DEG, int(rows.sum()))
+    finding = only(judge(table_of(table.time_s, rate), CONFIG).findings)
+    assert (finding.kind, finding.suspects) == ("noise", ("imu1.x",))
+
+
 @pytest.mark.parametrize("triads_", [1, 2, 3])
 def test_single_readings_far_off_accuse_their_channel(triads_: int) -> None:
     table = triads(triads_)
