@@ -36,8 +36,10 @@ FEWEST_AROUND = 120
 # before it or the ten after, whichever shake more, but of the flight at least. An impulse among ten
 # touches three and does not move their middle.
 BESIDE = 10
-# The level of normal readings, in sigmas; where tails are heavy it is more.
+# The level of normal readings, in sigmas; where tails are heavy it is more. It is so many of their
+# middling moduli.
 NORMAL_LEVEL = 1.96
+LEVEL_OF_MIDDLING = 2.9
 SECONDS_PER_HOUR = 3600.0
 # A peak counts as confirmed by another channel of the axis that is off by this part of it too, the
 # peak itself left out of what is expected there, or deviates from its neighbours by as much and
@@ -179,7 +181,9 @@ def _impulses(table: ChannelTable, axis: _Axis, place: int, config: Config) -> l
     here = np.searchsorted(rows, at)
     # Both neighbours are there: the deviation of the first and the last reading is zero.
     highest = size[at] >= np.maximum(size[rows[here - 1]], size[rows[here + 1]])
-    returned = _returned(table, axis, place, rows, here) <= RETURNED * size[at]
+    apart = _apart(table, axis, place, rows)
+    returned = _returned(apart, here) <= RETURNED * size[at]
+    returned &= alone[at] | _stands_out(apart, here)
     beside = table.rate_rad_s[np.ix_(rows, np.delete(axis.channels, place))]
     mistimed, following = off_in_motion(
         beside,
@@ -261,24 +265,23 @@ def _confirmed(
     return confirmed
 
 
-def _returned(
-    table: ChannelTable,
-    axis: _Axis,
-    place: int,
-    rows: NDArray[np.int64],
-    at: NDArray[np.int64],
-) -> Floats:
+def _apart(table: ChannelTable, axis: _Axis, place: int, rows: NDArray[np.int64]) -> Floats:
+    """Tell what a channel reads more than its peers at some samples, (n_readings,). [rad/s]"""
+    apart: Floats = table.rate_rad_s[rows, axis.channels[place]].copy()
+    beside = table.rate_rad_s[np.ix_(rows, np.delete(axis.channels, place))]
+    known = np.isfinite(beside)
+    apart -= np.where(known, beside, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return apart
+
+
+def _returned(apart: Floats, at: NDArray[np.int64]) -> Floats:
     """By how much a channel is off from its peers after some readings more than before. [rad/s]
 
     Parameters
     ----------
-    rows, at : (n_readings,), (n,)
-        Samples at which it was recorded, and which of them are asked about.
+    apart, at : (n_readings,), (n,)
+        What it reads more than they do, and which of these readings are asked about.
     """
-    apart = table.rate_rad_s[rows, axis.channels[place]].copy()
-    beside = table.rate_rad_s[np.ix_(rows, np.delete(axis.channels, place))]
-    known = np.isfinite(beside)
-    apart -= np.where(known, beside, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     total = np.concatenate([[0.0], np.cumsum(apart)])
     first = np.maximum(at - RETURNING_READINGS, 0)
     last = np.minimum(at + 1 + RETURNING_READINGS, len(apart))
@@ -286,6 +289,31 @@ def _returned(
     after = (total[last] - total[at + 1]) / np.maximum(last - at - 1, 1)
     change: Floats = np.abs(after - before)
     return change
+
+
+def _stands_out(apart: Floats, at: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which readings are further off from the peers than those before and after, (n,).
+
+    Where a gyro begins to swing, its first reading is not what the calm ones before let expect, and
+    yet one of many.
+    """
+    if len(apart) < 2 * (BESIDE + 2):
+        return np.ones(len(at), bool)
+    before, after = _beside(apart, at)
+    middle = np.median(np.concatenate([before, after], axis=1), axis=1)
+    swing = np.maximum(
+        *(np.median(np.abs(side - middle[:, None]), axis=1) for side in (before, after))
+    )
+    return np.asarray(np.abs(apart[at] - middle) > LEVEL_OF_MIDDLING * swing, bool)
+
+
+def _beside(values: Floats, at: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """List the readings before and after some, their neighbours apart, (n, `BESIDE`) each."""
+    before, after = (
+        values[np.clip(first, 0, len(values) - BESIDE)[:, None] + np.arange(BESIDE)]
+        for first in (at - 1 - BESIDE, at + 2)
+    )
+    return before, after
 
 
 def _levels(table: ChannelTable, channel: int, values: Floats) -> Floats:
@@ -317,12 +345,9 @@ def _middling(size: Floats, at: NDArray[np.int64]) -> Floats:
 
     Zero where there are too few.
     """
-    middling = np.zeros(len(at))
-    if len(size) >= 2 * (BESIDE + 2):
-        for first in (at - 1 - BESIDE, at + 2):
-            inside = np.clip(first, 0, len(size) - BESIDE)
-            beside = size[inside[:, None] + np.arange(BESIDE)]
-            middling = np.maximum(middling, np.median(beside, axis=1))
+    if len(size) < 2 * (BESIDE + 2):
+        return np.zeros(len(at))
+    middling: Floats = np.maximum(*(np.median(side, axis=1) for side in _beside(size, at)))
     return middling
 
 
