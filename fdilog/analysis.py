@@ -352,10 +352,11 @@ def judge(
     hearing = None if witness is None else _hearing(witness, testified, config)
     biased = bias_findings(heard, sound, compared, config, hearing)
     biased = with_scales(heard, sound, scaled, biased, config)
+    by_itself = of.self_evident_findings(gyros, alone)
     findings = [
         *mounting_findings(table, mounted.found),
-        *of.self_evident_findings(gyros, alone),
-        *of.noise_findings(heard, noisy, biased),
+        *by_itself,
+        *of.noise_findings(heard, noisy, [*biased, *by_itself]),
         *of.guaranteed_findings(heard, sampled, biased, config),
     ]
     findings = with_disagreement(sound.gyros, heard.gyros, findings, config)

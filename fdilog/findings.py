@@ -50,14 +50,15 @@ def noise_findings(
     Parameters
     ----------
     known
-        What is wrong with the rates themselves: noise that a scale error explains is none.
+        What else is wrong: noise that a scale error or a gyro's many impulses explain is none.
     """
     from fdilog.detectors.excess_noise import noise_peers, shown_noise
+    from fdilog.prediction import innovations
 
     said = [accusation for item in evidence for accusation in accusations(item)]
     if not said:
         return []
-    deviation, own = shown_noise(table)
+    deviation, _ = shown_noise(table)
     findings = []
     for cluster in clusters(table.time_s, said):
         sizes = {
@@ -72,7 +73,9 @@ def noise_findings(
         shaking, still = _shaking(table, deviation[rows][:, peers])
         told = inside | ~still
         rows, inside, shaking = rows[told], inside[told], shaking[told]
-        low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, sizes[channel].estimate)
+        own, _ = innovations(table, channel, peers, deviation[:, channel], neighbours=False)
+        size = np.abs(_unsteady(own[rows], table)) / shaking
+        low, high = _loud(size, inside, sizes[channel].estimate)
         start, stop = int(rows[low]), int(rows[high - 1]) + 1
         found = Finding(
             kind="noise",
@@ -85,21 +88,23 @@ def noise_findings(
         )
         compared = {channel, *(peers if len(peers) == 1 else ())}
         names = {table.names[k] for k in compared}
-        scales = [one for one in known if one.kind == "scale" and names & set(one.suspects)]
-        if not any(_of_scale(found, one, table.duration_s) for one in scales):
+        others = [one for one in known if names & set(one.suspects)]
+        if not any(_explains(one, found, table.duration_s) for one in others):
             findings.append(found)
     return findings
 
 
-def _of_scale(noise: Finding, scale: Finding, flight_s: float) -> bool:
-    """Tell whether a scale error of a gyro, or of its only peer, is what noise of it looks like.
+def _explains(one: Finding, noise: Finding, flight_s: float) -> bool:
+    """Tell whether what is wrong with a gyro, or its only peer, is what noise of it looks like.
 
     A gyro that shows a fifth of all rates shows a fifth of the vibration, and one that does so for
-    most of the flight leaves what is usual unknown.
+    most of the flight leaves what is usual unknown. One that jumps again and again is loud.
     """
-    together_s = min(noise.end_s, scale.end_s) - max(noise.start_s, scale.start_s)
-    length_s = noise.end_s - noise.start_s
-    return together_s >= MOST * length_s or scale.end_s - scale.start_s >= MOST * flight_s
+    together_s = min(noise.end_s, one.end_s) - max(noise.start_s, one.start_s)
+    mostly = together_s >= MOST * (noise.end_s - noise.start_s)
+    if one.kind == "scale":
+        return mostly or one.end_s - one.start_s >= MOST * flight_s
+    return one.kind == "impulse" and one.size is None and mostly
 
 
 def _shaking(
@@ -120,11 +125,25 @@ def _shaking(
         Where they hardly do, as on the ground: that is quieter than any flight.
     """
     power = (deviation**2).mean(axis=1)
-    width = min(len(power), max(1, round(SHAKING_S / table.period_s)))
+    width = _readings(table, len(power))
     around = np.convolve(power, np.ones(width) / width, mode="same")
     usual = float(np.median(around))
     shaking = np.sqrt(around + usual)
     return np.where(shaking > 0.0, shaking, 1.0), around < STILL**2 * usual
+
+
+def _unsteady(error: NDArray[np.float64], table: ChannelTable) -> NDArray[np.float64]:
+    """Take the medians of stretches of `SHAKING_S` away: an error that lasts is no noise, (n,)."""
+    steady = np.zeros(len(error))
+    width = _readings(table, len(error))
+    for first in range(0, len(error), width):
+        steady[first : first + width] = np.median(error[first : first + width])
+    return error - steady
+
+
+def _readings(table: ChannelTable, most: int) -> int:
+    """Count the readings in `SHAKING_S`."""
+    return min(most, max(1, round(SHAKING_S / table.period_s)))
 
 
 def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) -> tuple[int, int]:

@@ -8,7 +8,7 @@ two neighbours, tells the reading many times better. Its coefficients are those 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,7 +196,12 @@ def _swings(readings: Floats, at: Rows, reach: int) -> Floats:
 
 
 def innovations(
-    table: ChannelTable, channel: int, peers: NDArray[np.int64], deviation: Floats
+    table: ChannelTable,
+    channel: int,
+    peers: NDArray[np.int64],
+    deviation: Floats,
+    *,
+    neighbours: bool = True,
 ) -> tuple[Floats, Floats]:
     """Tell what a channel reads that neither its neighbours nor its peers tell.
 
@@ -206,6 +211,9 @@ def innovations(
         Columns that are asked, at the instant itself and at the two beside it.
     deviation : (n_samples,)
         That of the channel, as `deviations` gives it. [rad/s]
+    neighbours
+        Whether the channel's own two neighbours are asked. An oscillation of it tells them what
+        comes next; then it shows most where it begins and ends, and calm readings seem loud.
 
     Returns
     -------
@@ -225,32 +233,30 @@ def innovations(
     for shift in range(3):
         told &= table.valid[rows[shift : len(near) + shift]][:, peers].all(axis=1)
     at = 1 + np.flatnonzero(told)
-    coefficients = 3 * len(peers) + 3
+    own = 2 if neighbours else 0
+    coefficients = 1 + own + 3 * len(peers)
     if len(at) < READINGS_A_COEFFICIENT * coefficients:
         return found, nothing
     few = at[:: 1 + len(at) // MOST_FITTED]
-    design = np.column_stack(list(_regressors(table, channel, peers, rows, few)))
+    asked = [(channel, shift) for shift in (-1, 1)[:own]]
+    asked += [(peer, shift) for peer in peers.tolist() for shift in (-1, 0, 1)]
+    design = np.column_stack(list(_regressors(table, rows, few, asked)))
     weights = _fitted(design, table.rate_rad_s[rows[few], channel])
     left = table.rate_rad_s[rows[at], channel].copy()
-    for weight, regressor in zip(
-        weights, _regressors(table, channel, peers, rows, at), strict=True
-    ):
+    for weight, regressor in zip(weights, _regressors(table, rows, at, asked), strict=True):
         left -= weight * regressor
     found[rows[at]] = left
     found[rows[1:-1][near & ~even]] = 0.0
-    return found, weights[4::3]
+    return found, weights[own + 2 :: 3]
 
 
 def _regressors(
-    table: ChannelTable, channel: int, peers: NDArray[np.int64], rows: Rows, at: Rows
+    table: ChannelTable, rows: Rows, at: Rows, asked: Sequence[tuple[int, int]]
 ) -> Iterator[Floats]:
-    """One, the channel's own neighbours, and the peers before, at and after an instant."""
+    """One, and what the channels asked read so many readings later."""
     yield np.ones(len(at))
-    for shift in (-1, 1):
+    for channel, shift in asked:
         yield table.rate_rad_s[rows[at + shift], channel]
-    for peer in peers:
-        for shift in (-1, 0, 1):
-            yield table.rate_rad_s[rows[at + shift], peer]
 
 
 def _fitted(design: Floats, target: Floats) -> Floats:

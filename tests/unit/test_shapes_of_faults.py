@@ -62,6 +62,43 @@ def test_five_times_the_noise_is_a_finding_of_noise_and_nothing_else() -> None:
     assert finding.size.low < 5.0 < finding.size.high
 
 
+@pytest.mark.parametrize("triads_", [2, 3])
+@pytest.mark.parametrize("hertz", [5.0, 8.0, 11.0])
+def test_a_gyro_that_swings_by_itself_is_noisy_from_its_first_swing_to_the_last(
+    triads_: int, hertz: float
+) -> None:
+    table = triads(triads_)
+    rows = (table.time_s >= 20.0) & (table.time_s < 40.0)
+    rate = table.rate_rad_s.copy()
+    rate[rows, 3] += 20.0 * DEG * np.sin(2 * np.pi * hertz * table.time_s[rows])
+    finding = only(judge(table_of(table.time_s, rate), CONFIG).findings)
+    assert (finding.kind, finding.suspects) == ("noise", ("imu1.x",))
+    assert finding.start_s == pytest.approx(20.0, abs=0.1)
+    assert finding.end_s == pytest.approx(40.0, abs=0.1)
+
+
+def test_a_bias_before_it_is_no_part_of_the_noise() -> None:
+    table = changed(triads(3), "imu1.x", 10.0, 20.0, add=200.0 * DEG)
+    rows = (table.time_s >= 30.0) & (table.time_s < 45.0)
+    rate = table.rate_rad_s.copy()
+    rate[rows, 3] += np.random.default_rng(2).normal(0.0, 3.0 * DEG, int(rows.sum()))
+    bias, noise = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (bias.kind, noise.kind) == ("bias", "noise")
+    assert noise.start_s == pytest.approx(30.0, abs=0.2)
+    assert noise.end_s == pytest.approx(45.0, abs=0.2)
+
+
+@pytest.mark.parametrize("triads_", [2, 3])
+def test_a_gyro_a_fifth_of_whose_readings_are_random_is_one_finding(triads_: int) -> None:
+    table = triads(triads_)
+    rng = np.random.default_rng(3)
+    rate = table.rate_rad_s.copy()
+    at = rng.random(len(rate)) < 0.2
+    rate[at, 3] = rng.uniform(-60.0 * DEG, 60.0 * DEG, int(at.sum()))
+    finding = only(judge(table_of(table.time_s, rate), CONFIG).findings)
+    assert (finding.kind, finding.suspects) == ("impulse", ("imu1.x",))
+
+
 def test_a_gyro_that_reads_little_of_a_noisy_one_has_no_scale_error() -> None:
     table = triads(2, seconds=400.0, sigma_deg_s=1.0)
     rng = np.random.default_rng(1)
