@@ -33,6 +33,8 @@ Bools = NDArray[np.bool_]
 DETECTOR = "disagreement"
 CELL_S = 0.5
 """Manoeuvres take longer than this, vibration is faster."""
+SWING_S = 3.0 * CELL_S
+"""A swing passes zero and stays there for a cell or two, and where it begins is known to one."""
 FEWEST_SAMPLES = 6
 """Of which the spread within a cell, and so the doubt of its mean, can be told."""
 SIGMAS = 3.0
@@ -79,7 +81,7 @@ def with_disagreement(
         parts = [one for one in kept if _contains(found, one)]
         kept = [one for one in kept if one not in parts]
         # A part that has no proper place may still say when it began or ended.
-        shapes = [one for one in parts if one.kind in SHAPES]
+        shapes = [one for one in parts if one.kind != "mounting"]
         whole = replace(
             found,
             start_s=min([found.start_s, *(one.start_s for one in shapes)]),
@@ -126,9 +128,13 @@ def _contains(found: Finding, other: Finding) -> bool:
         return False
     if other.kind == "mounting":
         return found.start_s < other.start_s and found.end_s > other.end_s
+    gap_s = max(other.start_s - found.end_s, found.start_s - other.end_s)
+    if other.kind == "noise":
+        # At rest, a swing that is too slow to be noise in flight is noise.
+        shorter = other.end_s - other.start_s < found.end_s - found.start_s
+        return shorter and gap_s < SWING_S
     # Where a disagreement begins and ends is known to a cell.
-    begins, ends = found.start_s - CELL_S, found.end_s + CELL_S
-    return other.kind in SHAPES and other.start_s < ends and other.end_s > begins
+    return other.kind in SHAPES and gap_s < CELL_S
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -52,31 +52,21 @@ def noise_findings(
     known
         What else is wrong: noise that a scale error or a gyro's many impulses explain is none.
     """
-    from fdilog.detectors.excess_noise import noise_peers, shown_noise
-    from fdilog.prediction import innovations
+    from fdilog.detectors.excess_noise import noise_peers, paces
 
     said = [accusation for item in evidence for accusation in accusations(item)]
-    if not said:
-        return []
-    deviation, _ = shown_noise(table)
     findings = []
     for cluster in clusters(table.time_s, said):
         sizes = {
             k: _ratio(evidence, k, cluster.start, cluster.stop) for k in sorted(cluster.suspects)
         }
         channel = max(sizes, key=lambda k: sizes[k].estimate)
-        first, last = region(table, cluster.start, cluster.stop, cluster.longest_s / 2)
         peers = noise_peers(table, channel)
-        shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
-        rows = first + np.flatnonzero(shown)
-        inside = (rows >= cluster.start) & (rows < cluster.stop)
-        shaking, still = _shaking(table, deviation[rows][:, peers])
-        told = inside | ~still
-        rows, inside, shaking = rows[told], inside[told], shaking[told]
-        own, _ = innovations(table, channel, peers, deviation[:, channel], neighbours=False)
-        size = np.abs(_unsteady(own[rows], table)) / shaking
-        low, high = _loud(size, inside, sizes[channel].estimate)
-        start, stop = int(rows[low]), int(rows[high - 1]) + 1
+        at_each = [
+            _span_of_noise(paced, every, cluster, channel, sizes[channel].estimate)
+            for every, paced in paces(table)
+        ]
+        _, start, stop = max(at_each, key=lambda one: one[0])
         found = Finding(
             kind="noise",
             suspects=tuple(table.names[k] for k in sorted(cluster.suspects)),
@@ -92,6 +82,44 @@ def noise_findings(
         if not any(_explains(one, found, table.duration_s) for one in others):
             findings.append(found)
     return findings
+
+
+def _span_of_noise(
+    table: ChannelTable, every: int, cluster: Cluster, channel: int, ratio: float
+) -> tuple[float, int, int]:
+    """Find where noise begins and ends, at one pace.
+
+    Parameters
+    ----------
+    table
+        Means over `every` rows each.
+
+    Returns
+    -------
+    gain
+        Logarithm of how many times likelier that is than nothing.
+    start, stop
+        First row, one past the last, of the table that means are taken of.
+    """
+    from fdilog.detectors.excess_noise import noise_peers, shown_noise
+    from fdilog.prediction import innovations
+
+    deviation, _ = shown_noise(table)
+    peers = noise_peers(table, channel)
+    begin, end = cluster.start // every, max(cluster.start // every + 1, cluster.stop // every)
+    first, last = region(table, begin, end, cluster.longest_s / 2)
+    shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
+    rows = first + np.flatnonzero(shown)
+    inside = (rows >= begin) & (rows < end)
+    if not inside.any():
+        return -np.inf, cluster.start, cluster.stop
+    shaking, still = _shaking(table, deviation[rows][:, peers])
+    told = inside | ~still
+    rows, inside, shaking = rows[told], inside[told], shaking[told]
+    own, _ = innovations(table, channel, peers, deviation[:, channel], neighbours=False)
+    size = np.abs(_unsteady(own[rows], table)) / shaking
+    gain, low, high = _loud(size, inside, ratio)
+    return gain, int(rows[low]) * every, (int(rows[high - 1]) + 1) * every
 
 
 def _explains(one: Finding, noise: Finding, flight_s: float) -> bool:
@@ -146,7 +174,9 @@ def _readings(table: ChannelTable, most: int) -> int:
     return min(most, max(1, round(SHAKING_S / table.period_s)))
 
 
-def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) -> tuple[int, int]:
+def _loud(
+    size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float
+) -> tuple[float, int, int]:
     """Find the span over which readings are likelier noisy than not, the change points of variance.
 
     Parameters
@@ -157,10 +187,18 @@ def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) ->
         Where it is noisy, as a beginning.
     ratio
         How many times noisier it is there.
+
+    Returns
+    -------
+    gain
+        Logarithm of how many times likelier.
+    start, stop
+        First reading, one past the last.
     """
     from fdilog.detectors.excess_noise import CAP, FEWEST_SAMPLES, capped_sigma
 
     span = _louder_part(size, inside, ratio)
+    most = 0.0
     for _ in range(ROUNDS):
         loud = float(capped_sigma(size[span[0] : span[1]]))
         length = span[1] - span[0]
@@ -177,10 +215,13 @@ def _loud(size: NDArray[np.float64], inside: NDArray[np.bool_], ratio: float) ->
         least = np.minimum.accumulate(total)
         stop = int(np.argmax(total - least))
         found = (int(np.argmin(total[: stop + 1])), stop)
-        if found == span or found[1] <= found[0]:
+        if found[1] <= found[0]:
+            break
+        most = float((total - least)[stop])
+        if found == span:
             break
         span = found
-    return span
+    return most, *span
 
 
 def _louder_part(

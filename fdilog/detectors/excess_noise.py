@@ -3,13 +3,14 @@
 The noise is seen in the deviation of every reading from the mean of its neighbours, in which the
 motion of the body hardly shows; so even with two gyros on an axis the noisy one is told. Vibration
 shows in it, and in every gyro; a channel's own noise is what is left when the readings of the
-others are taken out (`fdilog.prediction`).
+others are taken out (`fdilog.prediction`). Swings that last for many readings show little in it and
+more in that of means of some readings from the means beside them; so those are looked at too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import ClassVar
 
@@ -38,8 +39,18 @@ CAPPED_VARIANCE = 0.52
 NORMAL_MEDIAN = 1.4826
 # Readings gathered at a time, to bound the memory.
 BLOCK_READINGS = 1_000_000
-# What is usual is kept for so many channels, to be asked again for windows of other lengths.
-MOST_CHANNELS = 32
+# What is usual is kept for so many channels, to be asked again for windows of other lengths; and
+# what is shown for as many paces as the fastest logs have.
+MOST_CHANNELS = 48
+MOST_PACES = 4
+# Each pace takes means over so many rows of the one before. Deviations from neighbours show a half
+# or more of what swings from a sixth to a half of the pace; the next one is to show what is slower.
+ROWS_A_MEAN = 4
+# Swings below two a second show in means over half seconds: the fastest for disagreements, the
+# slowest here.
+SLOWEST_HZ = 4.0
+# A mean holds so much of the readings that its time promises, and spans so little more than that.
+MEAN_HOLDS, MEAN_SPANS = 0.9, 1.25
 # The standard deviation of rounding to steps of one.
 ROUNDING = 12.0**-0.5
 # What is usual is what the quietest quarter of a flight stays below: a fault may last for most of
@@ -68,57 +79,19 @@ class NoiseDetector:
         channel. So its own noise is also compared with what it usually is while all shake as much
         as now; then what it reads must have become noisier, relative to that, for sure.
         """
-        table, config, windows = survey.table, survey.config, survey.windows
+        windows = survey.windows
         size = int(np.median(windows.stop - windows.start)) if len(windows) else 0
         if size < FEWEST_SAMPLES:
             return []
-        shape = (len(windows), len(table.channels))
-        low, high = np.full(shape, np.nan), np.full(shape, np.nan)
-        accused = np.zeros(shape, np.int8)
-        factor = config.tolerance.noise_factor
-        least = np.radians(config.tolerance.bias_deg_s)
-        deviation, own = shown_noise(table)
-        rounding = _rounding(table)
-
-        @cache
-        def told(axis: tuple[int, ...]) -> NDArray[np.int64]:
-            return _told(deviation, axis)
-
-        @cache
-        def sigmas(axis: tuple[int, ...], k: int) -> tuple[Floats, Floats]:
-            return _window_sigmas(deviation[told(axis), k], survey, told(axis), rounding[k])
-
-        for channel in range(shape[1]):
-            peers = noise_peers(table, channel)
-            if not len(peers):
+        low, high, accused = _said(survey)
+        for every, paced in paces(survey.table)[1:]:
+            slower = spans_of_means(survey, paced, every)
+            if slower is None:
                 continue
-            axis = tuple(sorted([channel, *peers.tolist()]))
-            rows = told(axis)
-            mine, _ = sigmas(axis, channel)
-            others = [sigmas(axis, k)[1] for k in peers.tolist()]
-            theirs = np.sqrt(np.mean(np.square(others), axis=0))
-            alone, _ = _window_sigmas(own[rows, channel], survey, rows, rounding[channel])
-            counts = _window_counts(survey, rows)
-            logged = _ratio(survey, counts, mine, theirs)
-            found = logged.beyond & (mine > least)
-            usual = _usual(table, channel)
-            common, loudest = usual.common(np.column_stack([mine, *others]))
-            grown = _ratio(survey, counts, alone, usual.of_those(usual.own, common))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                relative = mine / common
-            louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
-            by_itself = grown.beyond & louder.more & loudest & (alone > least) & ~found
-            shown = logged if found.any() else grown
-            found |= by_itself
-            for peer in peers.tolist() if found.any() else ():
-                quieter, risen = _changed(survey, channel, peer)
-                found &= ~quieter
-                if len(peers) == 1:
-                    # Who changed is not known: one may be noisy, or the other read too little.
-                    accused[found & ~risen, peer] = channel + 1
-            low[:, channel] = np.where(by_itself, grown.low, shown.low)
-            high[:, channel] = np.where(by_itself, grown.high, shown.high)
-            accused[found, channel] = channel + 1
+            its_low, its_high, its_accused = _said(slower)
+            only = (its_accused > 0) & ~(accused > 0).any(axis=1, keepdims=True)
+            low, high = np.where(only, its_low, low), np.where(only, its_high, high)
+            accused = np.where(only, its_accused, accused)
         return [
             Evidence(
                 detector="noise",
@@ -127,11 +100,121 @@ class NoiseDetector:
                 tested=np.isfinite(low),
                 low=low,
                 high=high,
-                tolerance=np.full(shape, factor),
+                tolerance=np.full(low.shape, survey.config.tolerance.noise_factor),
                 accused=accused,
-                confidence=config.windows.confidence,
+                confidence=survey.config.windows.confidence,
             )
         ]
+
+
+@lru_cache(maxsize=1)
+def paces(table: ChannelTable) -> tuple[tuple[int, ChannelTable], ...]:
+    """Return the table, and those of means over ever more of its rows, with their numbers."""
+    found = [(1, table)]
+    every = ROWS_A_MEAN
+    while (
+        table.period_s and every * table.period_s * SLOWEST_HZ <= 1.0 and every < len(table.time_s)
+    ):
+        found.append((every, _means(table, every)))
+        every *= ROWS_A_MEAN
+    return tuple(found)
+
+
+def _means(table: ChannelTable, every: int) -> ChannelTable:
+    """Average a table over so many rows at a time; what a mean lacks too much of is not valid."""
+    n = len(table.time_s) // every
+    whole = slice(0, n * every)
+    time_s = table.time_s[whole].reshape(n, every)
+    rates = np.where(table.valid[whole], table.rate_rad_s[whole], 0.0).reshape(n, every, -1)
+    count = table.valid[whole].reshape(rates.shape).sum(axis=1)
+    length_s = every * table.period_s
+    promised = np.array([min(every, channel.rate_hz * length_s) for channel in table.channels])
+    valid = (count > 0) & (count >= MEAN_HOLDS * promised)
+    valid &= (np.ptp(time_s, axis=1) <= MEAN_SPANS * length_s)[:, None]
+    channels = tuple(
+        replace(
+            channel,
+            rate_hz=min(channel.rate_hz, 1.0 / length_s),
+            step_rad_s=channel.step_rad_s / float(np.sqrt(max(held, 1.0))),
+        )
+        for channel, held in zip(table.channels, promised.tolist(), strict=True)
+    )
+    return ChannelTable(
+        time_s=time_s.mean(axis=1),
+        rate_rad_s=np.where(valid, rates.sum(axis=1) / np.maximum(count, 1), np.nan),
+        valid=valid,
+        channels=channels,
+        period_s=length_s,
+    )
+
+
+def spans_of_means(survey: Survey, paced: ChannelTable, every: int) -> Survey | None:
+    """Look at the means that lie within each window, or nothing if they are too few."""
+    windows = survey.windows
+    start, stop = -(-windows.start // every), windows.stop // every
+    if int(np.median(stop - start)) < FEWEST_SAMPLES:
+        return None
+    return replace(survey, table=paced, windows=replace(windows, start=start, stop=stop))
+
+
+def _said(survey: Survey) -> tuple[Floats, Floats, NDArray[np.int8]]:
+    """Compare the noise of every channel in every window.
+
+    Returns
+    -------
+    low, high : (n_windows, n_channels)
+        Interval of the ratio. [1]
+    accused : (n_windows, n_channels)
+        As in `fdilog.finding.Evidence`.
+    """
+    table, config, windows = survey.table, survey.config, survey.windows
+    shape = (len(windows), len(table.channels))
+    low, high = np.full(shape, np.nan), np.full(shape, np.nan)
+    accused = np.zeros(shape, np.int8)
+    least = np.radians(config.tolerance.bias_deg_s)
+    deviation, own = shown_noise(table)
+    rounding = _rounding(table)
+
+    @cache
+    def told(axis: tuple[int, ...]) -> NDArray[np.int64]:
+        return _told(deviation, axis)
+
+    @cache
+    def sigmas(axis: tuple[int, ...], k: int) -> tuple[Floats, Floats]:
+        return _window_sigmas(deviation[told(axis), k], survey, told(axis), rounding[k])
+
+    for channel in range(shape[1]):
+        peers = noise_peers(table, channel)
+        if not len(peers):
+            continue
+        axis = tuple(sorted([channel, *peers.tolist()]))
+        rows = told(axis)
+        mine, _ = sigmas(axis, channel)
+        others = [sigmas(axis, k)[1] for k in peers.tolist()]
+        theirs = np.sqrt(np.mean(np.square(others), axis=0))
+        alone, _ = _window_sigmas(own[rows, channel], survey, rows, rounding[channel])
+        counts = _window_counts(survey, rows)
+        logged = _ratio(survey, counts, mine, theirs)
+        found = logged.beyond & (mine > least)
+        usual = _usual(table, channel)
+        common, loudest = usual.common(np.column_stack([mine, *others]))
+        grown = _ratio(survey, counts, alone, usual.of_those(usual.own, common))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            relative = mine / common
+        louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
+        by_itself = grown.beyond & louder.more & loudest & (alone > least) & ~found
+        shown = logged if found.any() else grown
+        found |= by_itself
+        for peer in peers.tolist() if found.any() else ():
+            quieter, risen = _changed(survey, channel, peer)
+            found &= ~quieter
+            if len(peers) == 1:
+                # Who changed is not known: one may be noisy, or the other read too little.
+                accused[found & ~risen, peer] = channel + 1
+        low[:, channel] = np.where(by_itself, grown.low, shown.low)
+        high[:, channel] = np.where(by_itself, grown.high, shown.high)
+        accused[found, channel] = channel + 1
+    return low, high, accused
 
 
 def _told(deviation: Floats, columns: Sequence[int]) -> NDArray[np.int64]:
@@ -182,7 +265,7 @@ def _ratio(survey: Survey, n: NDArray[np.int64], mine: Floats, theirs: Floats) -
     )
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=MOST_PACES)
 def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
     """Noise that every channel shows, and what of it the others do not, as white sigmas. [rad/s]
 
