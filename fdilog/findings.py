@@ -29,6 +29,9 @@ GLITCHES = 10
 MOST = 0.5
 # A span of noise is looked for between so many pieces at most, then between readings.
 MOST_PIECES = 300
+# How loud it is beside noise is told by so many readings at least; the span of noise may reach half
+# as many beyond the windows that accuse.
+BESIDE = 1.5
 # The change points of variance and the variances about them settle within this.
 ROUNDS = 5
 _NOISY = "noisier than the other gyros that sense its axis, or than it usually is"
@@ -101,13 +104,13 @@ def _span_of_noise(
     start, stop
         First row, one past the last, of the table that means are taken of.
     """
-    from fdilog.detectors.excess_noise import noise_peers, shown_noise
-    from fdilog.prediction import innovations
+    from fdilog.detectors.excess_noise import FEWEST_SAMPLES, noise_peers, shown_noise
 
-    deviation, _ = shown_noise(table)
+    deviation, own = shown_noise(table)
     peers = noise_peers(table, channel)
     begin, end = cluster.start // every, max(cluster.start // every + 1, cluster.stop // every)
-    first, last = region(table, begin, end, cluster.longest_s / 2)
+    reach_s = max(cluster.longest_s / 2, BESIDE * FEWEST_SAMPLES * table.period_s)
+    first, last = region(table, begin, end, reach_s)
     shown = np.isfinite(deviation[first:last][:, [channel, *peers]]).all(axis=1)
     rows = first + np.flatnonzero(shown)
     inside = (rows >= begin) & (rows < end)
@@ -116,9 +119,7 @@ def _span_of_noise(
     shaking, still = _shaking(table, deviation[rows][:, peers])
     told = inside | ~still
     rows, inside, shaking = rows[told], inside[told], shaking[told]
-    own, _ = innovations(table, channel, peers, deviation[:, channel], neighbours=False)
-    size = np.abs(_unsteady(own[rows], table)) / shaking
-    gain, low, high = _loud(size, inside, ratio)
+    gain, low, high = _loud(np.abs(own[rows, channel]) / shaking, inside, ratio)
     return gain, int(rows[low]) * every, (int(rows[high - 1]) + 1) * every
 
 
@@ -153,25 +154,11 @@ def _shaking(
         Where they hardly do, as on the ground: that is quieter than any flight.
     """
     power = (deviation**2).mean(axis=1)
-    width = _readings(table, len(power))
+    width = min(len(power), max(1, round(SHAKING_S / table.period_s)))
     around = np.convolve(power, np.ones(width) / width, mode="same")
     usual = float(np.median(around))
     shaking = np.sqrt(around + usual)
     return np.where(shaking > 0.0, shaking, 1.0), around < STILL**2 * usual
-
-
-def _unsteady(error: NDArray[np.float64], table: ChannelTable) -> NDArray[np.float64]:
-    """Take the medians of stretches of `SHAKING_S` away: an error that lasts is no noise, (n,)."""
-    steady = np.zeros(len(error))
-    width = _readings(table, len(error))
-    for first in range(0, len(error), width):
-        steady[first : first + width] = np.median(error[first : first + width])
-    return error - steady
-
-
-def _readings(table: ChannelTable, most: int) -> int:
-    """Count the readings in `SHAKING_S`."""
-    return min(most, max(1, round(SHAKING_S / table.period_s)))
 
 
 def _loud(

@@ -9,6 +9,7 @@ two neighbours, tells the reading many times better. Its coefficients are those 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,12 +197,7 @@ def _swings(readings: Floats, at: Rows, reach: int) -> Floats:
 
 
 def innovations(
-    table: ChannelTable,
-    channel: int,
-    peers: NDArray[np.int64],
-    deviation: Floats,
-    *,
-    neighbours: bool = True,
+    table: ChannelTable, channel: int, peers: NDArray[np.int64], deviation: Floats
 ) -> tuple[Floats, Floats]:
     """Tell what a channel reads that neither its neighbours nor its peers tell.
 
@@ -211,9 +207,6 @@ def innovations(
         Columns that are asked, at the instant itself and at the two beside it.
     deviation : (n_samples,)
         That of the channel, as `deviations` gives it. [rad/s]
-    neighbours
-        Whether the channel's own two neighbours are asked. An oscillation of it tells them what
-        comes next; then it shows most where it begins and ends, and calm readings seem loud.
 
     Returns
     -------
@@ -223,31 +216,97 @@ def innovations(
     weights : (n_peers,)
         What part of each peer's reading at the same instant the prediction holds. [1]
     """
-    rows, near = _neighboured(table, channel)
+    fit = _Fit.of(table, channel, peers, neighbours=(-1, 1))
+    if fit is None:
+        return deviation.copy(), np.zeros(len(peers))
     found = deviation.copy()
-    nothing: Floats = np.zeros(len(peers))
-    if not len(peers) or len(rows) < 3:
-        return found, nothing
-    even = _near(table.time_s[rows], table.channels[channel].rate_hz, steps=EVEN_STEPS)
-    told = near & even
-    for shift in range(3):
-        told &= table.valid[rows[shift : len(near) + shift]][:, peers].all(axis=1)
-    at = 1 + np.flatnonzero(told)
-    own = 2 if neighbours else 0
-    coefficients = 1 + own + 3 * len(peers)
-    if len(at) < READINGS_A_COEFFICIENT * coefficients:
-        return found, nothing
-    few = at[:: 1 + len(at) // MOST_FITTED]
-    asked = [(channel, shift) for shift in (-1, 1)[:own]]
-    asked += [(peer, shift) for peer in peers.tolist() for shift in (-1, 0, 1)]
-    design = np.column_stack(list(_regressors(table, rows, few, asked)))
-    weights = _fitted(design, table.rate_rad_s[rows[few], channel])
-    left = table.rate_rad_s[rows[at], channel].copy()
-    for weight, regressor in zip(weights, _regressors(table, rows, at, asked), strict=True):
-        left -= weight * regressor
-    found[rows[at]] = left
-    found[rows[1:-1][near & ~even]] = 0.0
-    return found, weights[own + 2 :: 3]
+    found[fit.at], found[fit.uneven] = fit.left, 0.0
+    return found, fit.weights
+
+
+def own_noise(
+    table: ChannelTable, channel: int, peers: NDArray[np.int64], deviation: Floats
+) -> Floats:
+    """Deviation from its neighbours of what a channel reads that its peers do not tell.
+
+    The neighbours take no part in the prediction: an oscillation of the channel would tell them
+    what comes next, and calm readings would seem loud beside it.
+
+    Parameters
+    ----------
+    peers, deviation
+        As for `innovations`.
+
+    Returns
+    -------
+    noise : (n_samples,)
+        0 where a neighbour is missing or a record lost; the deviation where some peer was not
+        recorded, or where there are too few readings to fit. [rad/s]
+    """
+    fit = _Fit.of(table, channel, peers, neighbours=())
+    if fit is None:
+        return deviation.copy()
+    found = deviation.copy()
+    rate_hz = table.channels[channel].rate_hz
+    found[fit.at] = np.nan_to_num(from_neighbours(table.time_s[fit.at], fit.left, rate_hz))
+    found[fit.uneven] = 0.0
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """What is left of the readings of a channel when others have told what they can.
+
+    Parameters
+    ----------
+    at : (n,)
+        Samples of the table of which they tell.
+    left : (n,)
+        Reading less prediction. [rad/s]
+    uneven
+        Samples beside a lost record.
+    weights : (n_peers,)
+        What part of each peer's reading at the same instant the prediction holds. [1]
+    """
+
+    at: Rows
+    left: Floats
+    uneven: Rows
+    weights: Floats
+
+    @classmethod
+    def of(
+        cls,
+        table: ChannelTable,
+        channel: int,
+        peers: NDArray[np.int64],
+        neighbours: Sequence[int],
+    ) -> _Fit | None:
+        """Fit what the peers and some neighbours tell; nothing if there are too few readings."""
+        rows, near = _neighboured(table, channel)
+        if not len(peers) or len(rows) < 3:
+            return None
+        even = _near(table.time_s[rows], table.channels[channel].rate_hz, steps=EVEN_STEPS)
+        told = near & even
+        for shift in range(3):
+            told &= table.valid[rows[shift : len(near) + shift]][:, peers].all(axis=1)
+        at = 1 + np.flatnonzero(told)
+        asked = [(channel, shift) for shift in neighbours]
+        asked += [(peer, shift) for peer in peers.tolist() for shift in (-1, 0, 1)]
+        if len(at) < READINGS_A_COEFFICIENT * (1 + len(asked)):
+            return None
+        few = at[:: 1 + len(at) // MOST_FITTED]
+        design = np.column_stack(list(_regressors(table, rows, few, asked)))
+        weights = _fitted(design, table.rate_rad_s[rows[few], channel])
+        left = table.rate_rad_s[rows[at], channel].copy()
+        for weight, regressor in zip(weights, _regressors(table, rows, at, asked), strict=True):
+            left -= weight * regressor
+        return cls(
+            at=rows[at],
+            left=left,
+            uneven=rows[1:-1][near & ~even],
+            weights=weights[2 + len(neighbours) :: 3],
+        )
 
 
 def _regressors(

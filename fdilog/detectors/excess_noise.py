@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
 from fdilog.isolation import family_wise_confidence
-from fdilog.prediction import DEVIATION_GAIN, deviations_as_logged, innovations
+from fdilog.prediction import DEVIATION_GAIN, deviations_as_logged, own_noise
 from fdilog.registry import Stage
 from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
@@ -275,10 +275,10 @@ def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
     """
     deviation = deviations_as_logged(table)
     own = [
-        innovations(table, channel, noise_peers(table, channel), deviation[:, channel])[0]
+        own_noise(table, channel, noise_peers(table, channel), deviation[:, channel])
         for channel in range(len(table.channels))
     ]
-    return deviation / DEVIATION_GAIN, np.column_stack(own)
+    return deviation / DEVIATION_GAIN, np.column_stack(own) / DEVIATION_GAIN
 
 
 def _window_counts(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
