@@ -22,9 +22,9 @@ SHAKING_S = 1.0
 STILL = 0.25
 # Turns that are too fast for a gyro and no further apart than this are told as one. [s]
 TURNS_S = 60.0
-# So many impulses, no further apart than that, are one gyro that fails again and again; the instant
-# and size of each of a few are worth a look.
-GLITCHES = 10
+# So many impulses or silences, no further apart than that, are one gyro or source that fails again
+# and again; the instant and size of each of a few are worth a look.
+FEWEST_TOGETHER: dict[Kind, int] = {"saturated": 1, "impulse": 10, "dropout": 10}
 # What covers so much of a finding, or of a flight, explains it.
 MOST = 0.5
 # A span of noise is looked for between so many pieces at most, then between readings.
@@ -349,17 +349,16 @@ def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> 
     """Turn evidence of detectors that need no comparison into findings.
 
     There is one a channel and run, one for all the turns of some minutes that were too fast, and
-    one for all the impulses of a gyro that has many.
+    one for a gyro or source that fails again and again.
     """
-    said = [(item, accusation) for item in evidence for accusation in accusations(item)]
-    clipped = [accusation for _, accusation in said if accusation.kind == "saturated"]
-    impulses = {accusation: item for item, accusation in said if accusation.kind == "impulse"}
-    glitching = [
-        jumps
-        for jumps in clusters(table.time_s, list(impulses), TURNS_S)
-        if len(jumps.members) >= GLITCHES
+    said = {accusation: item for item in evidence for accusation in accusations(item)}
+    repeated = [
+        cluster
+        for kind, fewest in FEWEST_TOGETHER.items()
+        for cluster in clusters(table.time_s, [one for one in said if one.kind == kind], TURNS_S)
+        if len(cluster.members) >= fewest
     ]
-    together = {*clipped, *(one for jumps in glitching for one in jumps.members)}
+    together = {one for cluster in repeated for one in cluster.members}
     findings = [
         Finding(
             kind=one.kind,
@@ -370,40 +369,31 @@ def self_evident_findings(table: ChannelTable, evidence: Sequence[Evidence]) -> 
             detectors=(one.detector,),
             detail=_WORDS.get(one.kind, ""),
         )
-        for item, one in said
+        for one, item in said.items()
         if one not in together
     ]
-    findings += [_saturation(table, turns) for turns in clusters(table.time_s, clipped, TURNS_S)]
-    return findings + [_glitches(table, jumps, impulses) for jumps in glitching]
+    return findings + [_of_many(table, cluster, said) for cluster in repeated]
 
 
-def _glitches(
-    table: ChannelTable, jumps: Cluster, impulses: Mapping[Accusation, Evidence]
-) -> Finding:
-    """Make one finding of the impulses of a gyro that has many, which are of many sizes."""
-    sizes = [_own_size(impulses[one], one) for one in jumps.members]
-    far = np.degrees([abs(size.estimate) for size in sizes if size is not None])
-    by = f"by {far.min():.3g} to {far.max():.3g} deg/s"
-    return _of_many(table, jumps, f"{len(far)} times {_WORDS['impulse']}: {by}")
-
-
-def _saturation(table: ChannelTable, turns: Cluster) -> Finding:
-    """Make one finding of the turns that were too fast for a gyro."""
-    time_s = np.append(table.time_s, table.time_s[-1] + table.period_s)
-    held_s = sum(float(time_s[one.stop] - time_s[one.start]) for one in turns.members)
-    times = f"{len(turns.members)} times, " if len(turns.members) > 1 else ""
-    return _of_many(table, turns, f"{_WORDS['saturated']}; {times}{held_s:.3g} s in all")
-
-
-def _of_many(table: ChannelTable, cluster: Cluster, detail: str) -> Finding:
+def _of_many(table: ChannelTable, cluster: Cluster, said: Mapping[Accusation, Evidence]) -> Finding:
     """Make one finding, without a size of its own, of what a channel shows many times."""
+    members, kind = cluster.members, cluster.members[0].kind
+    if kind == "impulse":
+        sizes = [_own_size(said[one], one) for one in members]
+        far = np.degrees([abs(size.estimate) for size in sizes if size is not None])
+        detail = f"{len(far)} times {_WORDS[kind]}: by {far.min():.3g} to {far.max():.3g} deg/s"
+    else:
+        time_s = np.append(table.time_s, table.time_s[-1] + table.period_s)
+        held_s = sum(float(time_s[one.stop] - time_s[one.start]) for one in members)
+        times = f"{len(members)} times, " if len(members) > 1 else ""
+        detail = f"{_WORDS[kind]}; {times}{held_s:.3g} s in all"
     return Finding(
-        kind=cluster.members[0].kind,
+        kind=kind,
         suspects=tuple(table.names[channel] for channel in sorted(cluster.suspects)),
         start_s=float(table.time_s[cluster.start]),
         end_s=float(table.time_s[cluster.stop - 1]),
         size=None,
-        detectors=tuple(sorted({one.detector for one in cluster.members})),
+        detectors=tuple(sorted({one.detector for one in members})),
         detail=detail,
     )
 

@@ -199,7 +199,7 @@ _UNSIZED = {
     "scale": "read rates in a wrong scale, by how much the log does not bound,",
     "noise": "was noisier than the others",
     "impulse": "jumped again and again",
-    "dropout": "was silent while others went on",
+    "dropout": "was silent again and again while others went on",
     "stuck": "was stuck at one value",
     "dead": "was dead: it read zero",
     "saturated": "was at the end of its range",

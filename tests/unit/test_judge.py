@@ -221,3 +221,14 @@ def test_a_lone_gyro_that_is_read_slowly_cannot_tell_an_impulse_from_a_turn() ->
         rate[len(rate) // 2, 0] += 300.0 * DEG
         found = judge(table_of(time_s, rate), CONFIG).findings
         assert {finding.kind for finding in found} == expected
+
+
+def test_a_source_that_falls_silent_again_and_again_is_one_finding_a_channel() -> None:
+    table = triads(2, seconds=120.0)
+    rate = table.rate_rad_s.copy()
+    rate[table.time_s % 10.0 > 8.0, 3:] = np.nan
+    findings = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert [(f.kind, f.suspects) for f in findings] == [
+        ("dropout", (f"imu1.{axis}",)) for axis in "xyz"
+    ]
+    assert all("12 times" in f.detail for f in findings)
