@@ -332,8 +332,13 @@ def capped_sigma(size: Floats, least: float | Floats = 0.0) -> Floats:
         gyro repeat, and their median is zero. Broadcast against the moduli.
     """
     usual = np.maximum(NORMAL_MEDIAN * np.median(size, axis=-1, keepdims=True), least)
-    # Where they repeat and no step is known, the others are noise all the same.
-    cap = np.where(usual > 0.0, CAP * usual, np.inf)
+    repeating = ~(usual > 0.0)[..., 0]
+    if repeating.any():
+        # No step is known: those that do not repeat tell it.
+        told = np.where(size[repeating] > 0.0, size[repeating], np.nan)
+        told[np.isnan(told).all(axis=-1)] = 0.0
+        usual[repeating] = NORMAL_MEDIAN * np.nanmedian(told, axis=-1, keepdims=True)
+    cap = CAP * usual
     sigma: Floats = np.sqrt((np.minimum(size, cap) ** 2).mean(axis=-1))
     return sigma
 

@@ -10,6 +10,7 @@ import pytest
 from fdilog.analysis import judge
 from fdilog.calibration import calibrate
 from fdilog.config import Config
+from fdilog.detectors.excess_noise import capped_sigma
 from fdilog.edges import best_ramp, best_scale, best_step
 from fdilog.finding import Finding
 from fdilog.offsets import estimate_offset
@@ -89,6 +90,12 @@ def test_a_slow_swing_is_a_disagreement_at_rest_too(hertz: float) -> None:
     assert (finding.kind, finding.suspects) == ("disagreement", ("imu1.x",))
     assert finding.start_s < 1.0
     assert finding.end_s > 119.0
+
+
+def test_what_stands_out_of_readings_that_mostly_repeat_is_capped() -> None:
+    size = np.repeat([0.0, 0.1, 20.0], [46, 10, 4])  # at rest, steps of 0.1, the edges of a bias
+    assert 0.0 < capped_sigma(size) < 0.3
+    assert capped_sigma(np.zeros(60)) == 0.0
 
 
 def test_a_turn_that_all_gyros_make_is_no_noise_of_the_one_that_reads_it_late() -> None:
