@@ -31,6 +31,8 @@ PRESENT = 0.9
 # Tukey's constant: 95 % efficient for normal noise, no influence of what is far off.
 TUKEY = 4.685
 ROUNDS = 20
+# Relative to the trace of a matrix: above its rounding, below anything that readings tell.
+ROUNDING = 1e-13
 # Of an error of a hundred times what healthy gyros are off by, a misalignment of half a degree
 # makes one on another axis. From so much on the middlemost source tells the rate. [rad/s]
 FAR = float(np.radians(10.0))
@@ -172,6 +174,8 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, ND
             weight = np.maximum(1.0 - (residual / (TUKEY * spread)) ** 2, 0.0) ** 2
             ridge = np.diag([1e-12, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
             normal = design.T @ (weight[:, None] * design) + ridge
+            # Rates that never change cannot be told from the constant.
+            normal += ROUNDING * np.trace(normal) * np.eye(len(normal))
             before, level = level, np.linalg.solve(normal, design.T @ (weight * target))
             if np.allclose(before, level, rtol=1e-6, atol=1e-12):
                 break

@@ -232,3 +232,9 @@ def test_a_source_that_falls_silent_again_and_again_is_one_finding_a_channel() -
         ("dropout", (f"imu1.{axis}",)) for axis in "xyz"
     ]
     assert all("12 times" in f.detail for f in findings)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 4.0, 50.0])
+def test_readings_that_never_change_are_no_error(rate_hz: float) -> None:
+    table = table_of(np.arange(100) / rate_hz, np.full((100, 6), 0.1))
+    assert "healthy" in judge(table, CONFIG).status or judge(table, CONFIG).findings
