@@ -29,8 +29,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fdilog.faults import Fault
-from fdilog.simulate import simulate
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.simulate import simulate
 from fdilog.writing import Writer, write
 
 ROUNDS = 3

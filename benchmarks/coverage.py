@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.detectors.guaranteed import guaranteed_intervals
-from fdilog.geometry import named_axes
-from fdilog.noise import windowed_mean
-from fdilog.student import student_quantile
+from fdilog.maths.geometry import named_axes
+from fdilog.maths.noise import windowed_mean
+from fdilog.maths.student import student_quantile
 
 Floats = NDArray[np.float64]
 Noise = Callable[[np.random.Generator, tuple[int, int]], Floats]

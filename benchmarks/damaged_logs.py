@@ -371,7 +371,7 @@ def rosbag2_mcap_log(name: str, folder: Path) -> Log:
 
 def flight_log(name: str, folder: Path) -> Log:
     """Write a simulated flight with three gyros and an attitude; every record is a unit."""
-    from fdilog.simulate import simulate
+    from fdilog.experiments.simulate import simulate
     from fdilog.writing import write
 
     suffix, reader = {

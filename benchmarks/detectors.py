@@ -15,12 +15,12 @@ import time
 
 import numpy as np
 
-from fdilog.analysis import without
 from fdilog.config import Config
-from fdilog.geometry import GEOMETRIES, named_axes
+from fdilog.decision.judgement import without
+from fdilog.maths.geometry import GEOMETRIES, named_axes
 from fdilog.registry import plugins
 from fdilog.table import Channel, ChannelTable
-from fdilog.windows import Survey, cut, spans
+from fdilog.windows.survey import Survey, cut, spans
 
 RATE_HZ = 200.0
 NOISE_RAD_S = np.radians(0.1)

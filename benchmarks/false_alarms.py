@@ -27,9 +27,9 @@ import numpy as np
 
 from fdilog.analysis import analyse_recording
 from fdilog.config import Config
-from fdilog.motion import Airframe
+from fdilog.experiments.motion import Airframe
+from fdilog.experiments.simulate import GyroErrors, Timing, simulate
 from fdilog.recording import Recording, Stream
-from fdilog.simulate import GyroErrors, Timing, simulate
 from fdilog.text_table import text_table
 
 CONFIG = Config().replace("detectors", use=("parity", "impulse", "dropout", "flatline", "noise"))

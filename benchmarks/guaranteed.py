@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.detectors.guaranteed import guaranteed_intervals
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 
 Floats = NDArray[np.float64]
 

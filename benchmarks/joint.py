@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fdilog.detectors.joint import joint_suspects, joint_test
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.reproduce.triads import (
     BIAS_SIGMA_DEG_S,
     GEOMETRY,

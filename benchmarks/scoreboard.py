@@ -32,15 +32,15 @@ import numpy as np
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
 from fdilog.errors import FdilogError
-from fdilog.faults import SIZE_UNITS, Fault, FaultKind
+from fdilog.experiments.faults import SIZE_UNITS, Fault, FaultKind
+from fdilog.experiments.injection import inject
 from fdilog.finding import Finding, Kind
-from fdilog.geometry import leave_one_out
-from fdilog.injection import inject
+from fdilog.maths.geometry import leave_one_out
 from fdilog.recording import Recording
 from fdilog.registry import plugins, read
-from fdilog.slopes import scale_over
 from fdilog.table import ChannelTable
 from fdilog.text_table import text_table
+from fdilog.windows.slopes import scale_over
 
 ROOT = Path(__file__).parent.parent
 SUFFIXES = {".bin", ".tlog", ".ulg", ".bag", ".mcap", ".db3"}

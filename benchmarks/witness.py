@@ -25,15 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.analysis import analyse_recording
-from fdilog.attitude import from_euler, interpolated, logged_attitude, matrices
-from fdilog.clocks import clean_stamps
 from fdilog.config import Config
-from fdilog.faults import Fault
-from fdilog.injection import inject
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.sources import choose
-from fdilog.witness import attitude_stream
+from fdilog.sources.assembly import choose
+from fdilog.sources.attitude import from_euler, interpolated, logged_attitude, matrices
+from fdilog.sources.clocks import clean_stamps
+from fdilog.sources.witness import attitude_stream
 
 Floats = NDArray[np.float64]
 # The other detectors corroborate what the leading one found, and take their time.

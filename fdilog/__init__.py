@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fdilog.finding import Evidence, Finding
     from fdilog.recording import Recording
     from fdilog.registry import read
-    from fdilog.sources import channel_table
+    from fdilog.sources.assembly import channel_table
     from fdilog.table import ChannelTable
 
 __version__ = "0.1.0"
@@ -28,7 +28,7 @@ _HOME = {
     "Finding": "finding",
     "Recording": "recording",
     "analyse": "analysis",
-    "channel_table": "sources",
+    "channel_table": "sources.assembly",
     "guaranteed_intervals": "detectors.guaranteed",
     "read": "registry",
 }

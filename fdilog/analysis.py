@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -12,24 +12,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.autopilot import STREAMS, AutopilotNote, autopilot_notes, with_quotes
-from fdilog.calibration import Calibration, calibrate, with_notes
 from fdilog.config import Config, load_config
+from fdilog.decision.autopilot import STREAMS, AutopilotNote, autopilot_notes, with_quotes
+from fdilog.decision.judgement import Judgement, judge
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
-from fdilog.offsets import ClockOffset
 from fdilog.recording import Problem, Recording
-from fdilog.sources import Assembly, SourceInfo, assemble
+from fdilog.sources.assembly import Assembly, SourceInfo, assemble
+from fdilog.sources.offsets import ClockOffset
+from fdilog.sources.temperature import temperature_notes, temperatures
 from fdilog.table import ChannelTable
-from fdilog.temperature import temperature_notes, temperatures
+from fdilog.windows.calibration import Calibration, with_notes
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fdilog.biases import Hearing
-    from fdilog.registry import Detector
-    from fdilog.revealed import Revealed
-    from fdilog.witness import Witness
+    from fdilog.decision.revealed import Revealed
 
 SCHEMA = "fdilog/1"
 
@@ -109,7 +107,7 @@ class Analysis:
     @cached_property
     def revealed(self) -> tuple[Revealed, ...]:
         """What a constant error would have had to be to show, for each group of channels."""
-        from fdilog.revealed import revealed
+        from fdilog.decision.revealed import revealed
 
         return revealed(self.table, self.evidence)
 
@@ -256,7 +254,7 @@ def analyse_recording(
 
 def _asked_for(config: Config) -> list[str]:
     """List the streams that the configuration names, and those of the autopilot's own opinion."""
-    from fdilog.signals import streams_of
+    from fdilog.sources.signals import streams_of
 
     named = (*config.observer.outputs, *config.observer.inputs)
     return [*(source.topic for source in config.sources.gyro), *streams_of(named), *STREAMS]
@@ -272,8 +270,8 @@ def _held_against_model(
     progress: Callable[[str], None],
 ) -> tuple[Judgement, list[str]]:
     """Add what a model of the vehicle says, with what a reader should know of it."""
-    from fdilog.modelled import with_model
-    from fdilog.signals import find_signals
+    from fdilog.decision.modelled import with_model
+    from fdilog.sources.signals import find_signals
 
     named = dict.fromkeys((*config.observer.outputs, *config.observer.inputs))
     beside = [name for name in named if name not in table.names]
@@ -281,222 +279,6 @@ def _held_against_model(
     if complaints:
         return judged, [f"observer: not asked: {'; '.join(complaints)}"]
     return with_model(judged, table, signals, config, progress)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Judgement:
-    """What is concluded from a table alone."""
-
-    findings: tuple[Finding, ...]
-    status: tuple[Status, ...]
-    evidence: tuple[Evidence, ...]
-    calibration: tuple[Calibration, ...]
-
-
-def judge(
-    table: ChannelTable,
-    config: Config,
-    progress: Callable[[str], None] = lambda _: None,
-    witness: Witness | None = None,
-) -> Judgement:
-    """Run the detectors on a table and decide.
-
-    First of all every device is brought into the mounting that its rates show. Detectors that judge
-    each channel by itself go next. What they accuse is kept out of the comparisons, so that one
-    fault gives one finding and drags no other channel along.
-
-    The gyros decide among themselves. Derived channels are compared only with gyros that no other
-    gyro checks, and else only heard where the gyros leave several suspects.
-    """
-    from fdilog import decision
-    from fdilog import findings as of
-    from fdilog.biases import bias_findings
-    from fdilog.disagreement import with_disagreement
-    from fdilog.mounting import mounting_findings, mountings, turned_back
-    from fdilog.registry import detectors, plugins
-    from fdilog.scales import with_scales
-    from fdilog.windows import Survey, spans
-
-    names = config.detectors.use or _default_order(plugins("detectors"))
-    chosen = list(detectors(names))
-    progress("mounting")
-    mounted = mountings(table, one_frame=witness is None or witness.one_frame)
-    table = turned_back(table, mounted.found)
-    gyros = heard = table.gyros
-    whole = spans(gyros, np.array([0]), np.array([len(gyros.time_s)]))
-    alone: list[Evidence] = []
-    # In the order of their names, whatever was asked for: what is silent (dropout) or repeats
-    # itself (flatline) confirms no impulse.
-    for name, detector in sorted(chosen, key=lambda each: each[0]):
-        if detector.stage == "alone":
-            progress(name)
-            found = detector.detect(Survey(table=heard, windows=whole, config=config))
-            heard = without(heard, found)
-            alone.extend(found)
-    testified = with_derived(heard, table)
-    if witness is not None:
-        heard = testified.columns(compared_channels(testified))
-    sound, calibration, compared = _compared(heard, chosen, config, progress)
-    calibration = with_notes(calibration, mounted.notes())
-    sampled: list[Evidence] = []
-    each = np.arange(len(sound.time_s))
-    for name, detector in chosen:
-        if detector.stage == "samples":
-            progress(f"{name}, every sample")
-            windows = spans(heard, each, each + 1)
-            sampled.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
-    # An attitude is smoother than any gyro; only gyros tell noise from motion.
-    noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
-    scaled = [item for item in compared if item.kind == "scale"]
-    compared = [item for item in compared if item.kind == "bias"]
-    hearing = None if witness is None else _hearing(witness, testified, config)
-    biased = bias_findings(heard, sound, compared, config, hearing)
-    biased = with_scales(heard, sound, scaled, biased, config)
-    by_itself = of.self_evident_findings(gyros, alone)
-    findings = [
-        *mounting_findings(table, mounted.found),
-        *by_itself,
-        *of.noise_findings(heard, noisy, [*biased, *by_itself]),
-        *of.guaranteed_findings(heard, sampled, biased, config),
-    ]
-    findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
-    findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
-    decided = dict(
-        zip(sound.names, decision.channel_status(sound, compared, findings), strict=True)
-    )
-    status: tuple[Status, ...] = tuple(decided.get(name, "insufficient") for name in table.names)
-    if witness is not None:
-        status = decision.with_witness(table, heard, status, witness.anchors, config)
-    return Judgement(
-        findings=tuple(findings),
-        status=status,
-        evidence=tuple(
-            _spread_over(table, of_columns, item)
-            for of_columns, items in ((gyros, alone), (heard, (*sampled, *compared, *noisy)))
-            for item in items
-        ),
-        calibration=calibration,
-    )
-
-
-def _compared(
-    table: ChannelTable,
-    chosen: Sequence[tuple[str, Detector]],
-    config: Config,
-    progress: Callable[[str], None],
-) -> tuple[ChannelTable, tuple[Calibration, ...], list[Evidence]]:
-    """Calibrate a table and compare its channels; where there are faults, calibrate without."""
-    from fdilog.steps import steps_as_logged
-
-    sound, calibration = calibrate(table, config)
-    compared = _windowed(sound, chosen, config, progress)
-    biased = [item for item in compared if item.kind == "bias"]
-    steps = steps_as_logged(table, sound, biased, config)
-    if steps.any():
-        sound, calibration = calibrate(table, config, steps)
-        compared = _windowed(sound, chosen, config, progress)
-    return sound, calibration, compared
-
-
-def _windowed(
-    table: ChannelTable,
-    chosen: Sequence[tuple[str, Detector]],
-    config: Config,
-    progress: Callable[[str], None],
-) -> list[Evidence]:
-    """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
-    from fdilog.alignment import aligned_windows
-    from fdilog.bursts import burst_windows
-    from fdilog.slopes import scale_evidence
-    from fdilog.windows import Survey, cut
-
-    asked = [(name, detector) for name, detector in chosen if detector.stage == "windows"]
-    found: list[Evidence] = []
-    for windows in cut(table, config):
-        survey = Survey(table=table, windows=windows, config=config)
-        for name, detector in asked:
-            progress(f"{name}, {windows.length_s:g} s windows")
-            found.extend(detector.detect(survey))
-        found.append(scale_evidence(survey))
-    biased = [item for item in found if item.kind == "bias"]
-    leading = [item for item in biased if item.detector == biased[0].detector]
-    # What stands off for a moment does so by more than this flight's swells in all the hours of the
-    # budget; that is asked already, and too much of a few readings.
-    screened = config.replace("windows", false_findings_per_hour=float("inf"))
-    aligned, bursts = aligned_windows(table, leading), burst_windows(table, config)
-    for laid, settings in ((aligned, config), (bursts, screened)):
-        if laid is not None:
-            survey = Survey(table=table, windows=laid, config=settings)
-            for name, detector in asked:
-                progress(f"{name}, windows laid to fit")
-                found.extend(item for item in detector.detect(survey) if item.kind == "bias")
-    return found
-
-
-def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:
-    from fdilog.testimony import hear
-
-    return lambda suspects, span: hear(witness, table, suspects, span, config)
-
-
-def with_derived(gyros: ChannelTable, table: ChannelTable) -> ChannelTable:
-    """Put the derived channels of a table behind the gyros."""
-    derived = [k for k, channel in enumerate(table.channels) if channel.derived]
-    if not derived:
-        return gyros
-    channels = [table.channels[k] for k in derived]
-    return gyros.beside(table.rate_rad_s[:, derived], table.valid[:, derived], channels)
-
-
-def compared_channels(table: ChannelTable) -> list[int]:
-    """Choose what is compared: the gyros, and the derived channels that alone check one of them."""
-    from fdilog.geometry import blocks, detectable
-
-    gyros = [k for k, channel in enumerate(table.channels) if not channel.derived]
-    checked = detectable(table.axes[gyros])
-    unchecked = {k for k, can in zip(gyros, checked, strict=True) if not can}
-    needed = {k for block in blocks(table.axes) if unchecked & set(block) for k in block}
-    return [k for k, channel in enumerate(table.channels) if not channel.derived or k in needed]
-
-
-def _spread_over(table: ChannelTable, part: ChannelTable, evidence: Evidence) -> Evidence:
-    """Lay evidence on some channels of a table out over all of them; the others are not tested."""
-    if part.names == table.names:
-        return evidence
-    columns = [table.names.index(name) for name in part.names]
-    shape = (len(evidence.windows), len(table.channels))
-
-    def laid(values: NDArray[Any], filling: Any) -> NDArray[Any]:
-        wide = np.full(shape, filling, values.dtype)
-        wide[:, columns] = values
-        return wide
-
-    return replace(
-        evidence,
-        tested=laid(evidence.tested, filling=False),
-        low=laid(evidence.low, -np.inf),
-        high=laid(evidence.high, np.inf),
-        tolerance=laid(evidence.tolerance, np.nan),
-        accused=laid(evidence.accused, 0),
-    )
-
-
-def _default_order(known: dict[str, object]) -> list[str]:
-    """Order every installed detector: parity leads, it names suspects only when it must."""
-    return sorted(known, key=lambda name: (name != "parity", name))
-
-
-def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
-    """Return the table with the readings that a channel's own evidence accuses marked invalid."""
-    if not evidence:
-        return table
-    valid = table.valid.copy()
-    for item in evidence:
-        for start, stop, accused in zip(
-            item.windows.start, item.windows.stop, item.accused, strict=True
-        ):
-            valid[start:stop, accused > 0] = False
-    return replace(table, rate_rad_s=np.where(valid, table.rate_rad_s, np.nan), valid=valid)
 
 
 def _part_of(assembly: Assembly, recording: Recording, part: Part) -> ChannelTable:
@@ -560,7 +342,7 @@ def _log_info(recording: Recording, assembly: Assembly, sha256: str) -> LogInfo:
 
 
 def _isolability(table: ChannelTable) -> Isolability:
-    from fdilog.geometry import detectable, isolability_groups
+    from fdilog.maths.geometry import detectable, isolability_groups
 
     names = table.names
     compared = detectable(table.axes)
@@ -574,7 +356,7 @@ def _isolability(table: ChannelTable) -> Isolability:
 
 
 def _verdict(table: ChannelTable, status: Sequence[Status], *, whole: bool) -> Verdict:
-    from fdilog.decision import conclude
+    from fdilog.decision.verdict import conclude
 
     gyros = [
         one for one, channel in zip(status, table.channels, strict=True) if not channel.derived
@@ -584,7 +366,7 @@ def _verdict(table: ChannelTable, status: Sequence[Status], *, whole: bool) -> V
 
 def _sigma(table: ChannelTable, channel: int) -> float:
     """Noise of one channel: robust sigma of its steps, as white noise would give them. [rad/s]"""
-    from fdilog.noise import robust_sigma
+    from fdilog.maths.noise import robust_sigma
 
     readings = table.rate_rad_s[table.valid[:, channel], channel]
     if len(readings) < 3:

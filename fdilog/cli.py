@@ -484,9 +484,9 @@ def simulate(
 
     The suffix of FILE decides the format.
     """
-    from fdilog.simulate import simulate as fly
-    from fdilog.truth import write_truth
-    from fdilog.typed_fault import parsed_fault
+    from fdilog.experiments.simulate import simulate as fly
+    from fdilog.experiments.truth import write_truth
+    from fdilog.experiments.typed_fault import parsed_fault
     from fdilog.writing import write
 
     flight = fly(
@@ -539,11 +539,11 @@ def inject(
     In a DataFlash copy of a DataFlash log every byte that the fault does not touch stays as it is;
     else the copy holds one stream of each gyro, under the same names.
     """
-    from fdilog.injection import inject as put
+    from fdilog.experiments.injection import inject as put
+    from fdilog.experiments.truth import injected_truth, write_truth
+    from fdilog.experiments.typed_fault import typed_fault
     from fdilog.registry import read
-    from fdilog.sources import channel_table
-    from fdilog.truth import injected_truth, write_truth
-    from fdilog.typed_fault import typed_fault
+    from fdilog.sources.assembly import channel_table
     from fdilog.writing import write_injected
 
     settings = _settings(config, "", "", None)
@@ -584,9 +584,9 @@ def sensitivity(
     """
     import os
 
-    from fdilog import sensitivity_report as report
+    from fdilog.experiments import sensitivity_report as report
+    from fdilog.experiments.sensitivity import sensitivity as seek
     from fdilog.registry import read
-    from fdilog.sensitivity import sensitivity as seek
 
     if output is not None:
         report.checked_format(output)

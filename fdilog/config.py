@@ -77,7 +77,7 @@ def read_geometry(config: Config, name_or_file: str) -> Config:
     UsageError
         If it is neither, or the file does not parse.
     """
-    from fdilog.geometry import GEOMETRIES
+    from fdilog.maths.geometry import GEOMETRIES
 
     if name_or_file in GEOMETRIES:
         return config.replace("geometry", name=name_or_file, axes=())

@@ -10,7 +10,7 @@ from fdilog.config import Config
 from fdilog.errors import FdilogError, UsageError
 from fdilog.recording import Recording
 from fdilog.registry import plugins
-from fdilog.sources import channel_table
+from fdilog.sources.assembly import channel_table
 from fdilog.table import ChannelTable
 from fdilog.writing import write
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fdilog.config import Config
 from fdilog.errors import NoGyroError
 from fdilog.recording import Problem, Recording
-from fdilog.sources import Assembly, assemble
+from fdilog.sources.assembly import Assembly, assemble
 
 LONGEST_NAME = 60
 

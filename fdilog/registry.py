@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fdilog.analysis import Analysis
     from fdilog.finding import Evidence
     from fdilog.recording import Recording
-    from fdilog.windows import Survey
+    from fdilog.windows.survey import Survey
 
 Stage = Literal["alone", "samples", "windows", "model"]
 """What a detector is shown: the whole table, to judge each channel by itself, before the others are

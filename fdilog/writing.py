@@ -14,10 +14,10 @@ from typing import Any, Protocol
 
 from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
-from fdilog.injection import Change, Injection
+from fdilog.experiments.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
-from fdilog.sources import choose, physical_streams
+from fdilog.sources.assembly import choose, physical_streams
 
 
 class Writer(Protocol):

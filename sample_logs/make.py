@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from fdilog.faults import SIZE_UNITS, Fault, FaultKind
-from fdilog.flight import Flight
+from fdilog.experiments.faults import SIZE_UNITS, Fault, FaultKind
+from fdilog.experiments.flight import Flight
+from fdilog.experiments.simulate import Timing, simulate
 from fdilog.recording import Recording
-from fdilog.simulate import Timing, simulate
 from fdilog.writing import write
 from fdilog_readers import mcap_writer, rosbag2_writer
 

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from fdilog.faults import Fault
-from fdilog.simulate import simulate
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.simulate import simulate
 from fdilog.writing import write
 
 ROOT = Path(__file__).parents[1]

@@ -201,7 +201,7 @@ def table_examples() -> list[Example]:
 
     def parquet(path: Path) -> None:
         from fdilog.export import write_table
-        from fdilog.sources import channel_table
+        from fdilog.sources.assembly import channel_table
 
         write_table(channel_table(FLIGHT).gyros, path)
 

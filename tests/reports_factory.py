@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis, ClockOffset, Completeness, Isolability, LogInfo
-from fdilog.calibration import Calibration
 from fdilog.config import Config
 from fdilog.finding import Evidence, Finding, Interval, Size, Windows
-from fdilog.geometry import blocks, detectable, isolability_groups, leave_one_out
+from fdilog.maths.geometry import blocks, detectable, isolability_groups, leave_one_out
 from fdilog.recording import Problem
-from fdilog.sources import SourceInfo
+from fdilog.sources.assembly import SourceInfo
 from fdilog.table import Channel, ChannelTable
+from fdilog.windows.calibration import Calibration
 
 DEG = np.pi / 180.0
 

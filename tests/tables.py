@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.geometry import named_axes
-from fdilog.noise import quantisation_step
+from fdilog.maths.geometry import named_axes
+from fdilog.maths.noise import quantisation_step
 from fdilog.table import Channel, ChannelTable
 
 DEG = np.pi / 180.0

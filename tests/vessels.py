@@ -9,11 +9,11 @@ import numpy as np
 
 from fdilog.config import Config
 from fdilog.detectors.observer import held_step, propagate
-from fdilog.geometry import Floats
+from fdilog.maths.geometry import Floats
 from fdilog.reproduce.observer import NOISE, vessel, voyage
-from fdilog.signals import Signal
+from fdilog.sources.signals import Signal
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, spans
+from fdilog.windows.survey import Survey, spans
 from tests.tables import table_of
 
 OUTPUTS = ("boat.sway", "imu0.z")

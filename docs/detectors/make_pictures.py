@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from plot import ANOTHER, ONE, OTHER, Floats, Line, Panel, svg
 
-from fdilog.calibration import calibrate
 from fdilog.config import Config, load_config
 from fdilog.detectors.baselines import least_absolute_errors
 from fdilog.detectors.determinants import struck_conditions, struck_determinants
@@ -31,9 +30,10 @@ from fdilog.finding import Evidence
 from fdilog.registry import plugin, read
 from fdilog.reproduce import SEED
 from fdilog.reproduce.observer import FAILURES, vessel, voyage
-from fdilog.signals import find_signals
-from fdilog.sources import assemble
-from fdilog.windows import Survey, cut, spans
+from fdilog.sources.assembly import assemble
+from fdilog.sources.signals import find_signals
+from fdilog.windows.calibration import calibrate
+from fdilog.windows.survey import Survey, cut, spans
 
 HERE = Path(__file__).parent
 SAMPLES = HERE.parents[1] / "sample_logs"

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis
-from fdilog.calibration import STRETCH_S, calibrate
-from fdilog.geometry import leave_one_out
-from fdilog.noise import robust_sigma, windowed_mean
-from fdilog.student import student_quantile
+from fdilog.maths.geometry import leave_one_out
+from fdilog.maths.noise import robust_sigma, windowed_mean
+from fdilog.maths.student import student_quantile
 from fdilog.table import ChannelTable
+from fdilog.windows.calibration import STRETCH_S, calibrate
 
 Floats = NDArray[np.float64]
 

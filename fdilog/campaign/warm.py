@@ -26,7 +26,7 @@ def _rehearse() -> None:
     from fdilog.analysis import analyse_recording
     from fdilog.campaign.measures import measure
     from fdilog.config import Config
-    from fdilog.simulate import simulate
+    from fdilog.experiments.simulate import simulate
 
     recording = simulate(REHEARSED_S, 25.0, sources=3, seed=1).recording()
     analysis = analyse_recording(recording, Config())

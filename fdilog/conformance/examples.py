@@ -92,7 +92,7 @@ class Example:
 @cache
 def simulated_flight() -> Recording:
     """Return a short flight of two IMUs: something to write a log of."""
-    from fdilog.simulate import simulate
+    from fdilog.experiments.simulate import simulate
 
     flight = simulate(SECONDS, RATE_HZ, sources=2, seed=SEED)
     return replace(flight.recording(), utc_at_zero_ns=UTC_NS)

@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from fdilog.detectors.one_norm import one_norm_errors
 from fdilog.detectors.vote import ballot, voted_evidence
 from fdilog.finding import Evidence
-from fdilog.geometry import RANK_TOLERANCE, Floats, checked_readings, residual_projector
+from fdilog.maths.geometry import RANK_TOLERANCE, Floats, checked_readings, residual_projector
 from fdilog.registry import Stage
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 
 def least_squares_errors(readings: ArrayLike, axes: ArrayLike) -> Floats:

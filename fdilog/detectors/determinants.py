@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.detectors.vote import ballot, named_channel, voted_evidence
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats, checked_axes, checked_readings, parity_matrix
+from fdilog.maths.geometry import Floats, checked_axes, checked_readings, parity_matrix
 from fdilog.registry import Stage
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 BLOCK_SAMPLES = 4096
 """Samples whose matrices are held at once where every sample needs a factorisation."""

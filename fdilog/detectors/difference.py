@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.detectors.vote import named_channel
 from fdilog.finding import Evidence
-from fdilog.geometry import (
+from fdilog.maths.geometry import (
     Floats,
     checked_axes,
     checked_readings,
@@ -25,9 +25,9 @@ from fdilog.geometry import (
     isolability_groups,
     leave_one_out,
 )
-from fdilog.isolation import Answer, comparative_evidence, compare, family_wise_confidence
 from fdilog.registry import Stage
-from fdilog.windows import Moments, Survey
+from fdilog.windows.isolation import Answer, comparative_evidence, compare, family_wise_confidence
+from fdilog.windows.survey import Moments, Survey
 
 TOLERANCE_SIGMAS = 3.0
 """[Triads]: the tolerance is three standard deviations."""

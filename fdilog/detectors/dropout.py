@@ -11,11 +11,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.clocks import hole_threshold_s
 from fdilog.finding import Evidence
 from fdilog.registry import Stage
+from fdilog.sources.clocks import hole_threshold_s
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, spans
+from fdilog.windows.survey import Survey, spans
 
 
 @dataclass(frozen=True, kw_only=True)

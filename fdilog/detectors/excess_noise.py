@@ -3,8 +3,9 @@
 The noise is seen in the deviation of every reading from the mean of its neighbours, in which the
 motion of the body hardly shows; so even with two gyros on an axis the noisy one is told. Vibration
 shows in it, and in every gyro; a channel's own noise is what is left when the readings of the
-others are taken out (`fdilog.prediction`). Swings that last for many readings show little in it and
-more in that of means of some readings from the means beside them; so those are looked at too.
+others are taken out (`fdilog.windows.prediction`). Swings that last for many readings show little
+in it and more in that of means of some readings from the means beside them; so those are looked at
+too.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
-from fdilog.isolation import family_wise_confidence
-from fdilog.prediction import DEVIATION_GAIN, deviations_as_logged, own_noise
+from fdilog.maths.student import student_quantile
 from fdilog.registry import Stage
-from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey
+from fdilog.windows.isolation import family_wise_confidence
+from fdilog.windows.prediction import DEVIATION_GAIN, deviations_as_logged, own_noise
+from fdilog.windows.survey import Survey
 
 Floats = NDArray[np.float64]
 

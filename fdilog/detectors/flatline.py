@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.config import Config
 from fdilog.finding import Evidence, Kind
-from fdilog.geometry import leave_one_out
+from fdilog.maths.geometry import leave_one_out
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, spans, stretches
+from fdilog.windows.survey import Survey, spans, stretches
 
 # One false run in a million flights of any length.
 FALSE_RUNS = 1e-6

@@ -8,7 +8,7 @@ least and the greatest value over the polytopes that are not empty.
 The source solves two linear programs per channel and subset.  None is solved here.  By duality the
 greatest value over one polytope is the least of ``x . z + s . |x|`` over the basic solutions x of
 ``H'x = h_i`` with no weight on W, and each of them is either the channel itself or what a circuit
-through channel i (`fdilog.circuits`) says about it:
+through channel i (`fdilog.maths.circuits`) says about it:
 
     h_i'w <= sum over l in C, l != i of (-c_l/c_i) z_l + |c_l/c_i| s_l
 
@@ -28,8 +28,8 @@ from math import comb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.circuits import find_circuits, linear_forms
-from fdilog.geometry import Floats, checked_readings
+from fdilog.maths.circuits import find_circuits, linear_forms
+from fdilog.maths.geometry import Floats, checked_readings
 
 ROUNDING = 32 * np.finfo(float).eps
 """A check fails only when it does so by more than this share of the readings in it.

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from fdilog.detectors.guaranteed import guaranteed_intervals
 from fdilog.finding import Evidence
-from fdilog.geometry import blocks, leave_one_out, parity_matrix
-from fdilog.noise import robust_sigma
+from fdilog.maths.geometry import blocks, leave_one_out, parity_matrix
+from fdilog.maths.noise import robust_sigma
 from fdilog.registry import Stage
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 Floats = NDArray[np.float64]
 

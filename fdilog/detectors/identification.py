@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fdilog.geometry import RANK_TOLERANCE, Floats
+from fdilog.maths.geometry import RANK_TOLERANCE, Floats
 
 
 def identify_model(

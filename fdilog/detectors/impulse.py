@@ -1,9 +1,9 @@
 """Readings far off from what was to be expected, which no other gyro confirms: one, or a few.
 
 A channel accuses itself here. What was to be expected follows from its neighbours and from the
-other gyros of its axis (`fdilog.prediction`). A shock of the airframe is felt along every axis and
-by every source, a character lost on a serial line by one channel alone. A few readings in a row
-stand off from those before and after (`fdilog.bursts`), while the others go on.
+other gyros of its axis (`fdilog.windows.prediction`). A shock of the airframe is felt along every
+axis and by every source, a character lost on a serial line by one channel alone. A few readings in
+a row stand off from those before and after (`fdilog.windows.bursts`), while the others go on.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.bursts import Moment, short_moments
 from fdilog.config import Config
 from fdilog.finding import Evidence
-from fdilog.outliers import LEVEL, MIDDLING_LEVELS, least_levels
-from fdilog.prediction import TIMING_SIGMAS, deviations, follows, innovations, off_in_motion
+from fdilog.maths.student import student_quantile
 from fdilog.registry import Stage
-from fdilog.student import student_quantile
 from fdilog.table import ChannelTable
-from fdilog.traces import MANOEUVRE_S
-from fdilog.windows import Survey, spans
+from fdilog.windows.bursts import Moment, short_moments
+from fdilog.windows.outliers import LEVEL, MIDDLING_LEVELS, least_levels
+from fdilog.windows.prediction import TIMING_SIGMAS, deviations, follows, innovations, off_in_motion
+from fdilog.windows.survey import Survey, spans
+from fdilog.windows.traces import MANOEUVRE_S
 
 Floats = NDArray[np.float64]
 

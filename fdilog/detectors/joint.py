@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.geometry import Floats, checked_axes, residual_projector
+from fdilog.maths.geometry import Floats, checked_axes, residual_projector
 
 UNSEEN = 1e-9
 """Information on a parameter, relative to its healthy spread, that is as good as none."""

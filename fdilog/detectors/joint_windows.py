@@ -23,17 +23,17 @@ from fdilog.config import Config
 from fdilog.detectors.joint import _likeliest, joint_test
 from fdilog.detectors.vote import Hypothesis, exchangeable
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats, parity_matrix
-from fdilog.isolation import (
+from fdilog.maths.geometry import Floats, parity_matrix
+from fdilog.maths.noise import windowed_mean
+from fdilog.registry import Stage
+from fdilog.windows.isolation import (
     Answer,
     comparative_evidence,
     family_wise_confidence,
     noise_shares,
     numbered_suspects,
 )
-from fdilog.noise import windowed_mean
-from fdilog.registry import Stage
-from fdilog.windows import Moments, Survey
+from fdilog.windows.survey import Moments, Survey
 
 FEWEST_SAMPLES = 100
 """Twenty segments of five readings: less leaves either the vibration in or the noise unknown."""

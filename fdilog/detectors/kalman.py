@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.detectors.vote import ballot, named_channel, voted_evidence
 from fdilog.finding import Evidence
-from fdilog.geometry import (
+from fdilog.maths.geometry import (
     RANK_TOLERANCE,
     Floats,
     checked_axes,
@@ -24,7 +24,7 @@ from fdilog.geometry import (
     residual_projector,
 )
 from fdilog.registry import Stage
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 
 def innovation_rows(axes: ArrayLike) -> Floats:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.geometry import RANK_TOLERANCE, Floats
+from fdilog.maths.geometry import RANK_TOLERANCE, Floats
 
 FORGOTTEN = 1e-18
 """Share of a state so old that adding it changes no digit of a double."""

@@ -22,11 +22,11 @@ from fdilog.detectors.observer_watch import (
     watched,
 )
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats
-from fdilog.noise import windowed_mean
+from fdilog.maths.geometry import Floats
+from fdilog.maths.noise import windowed_mean
+from fdilog.maths.student import student_quantile
 from fdilog.registry import Stage
-from fdilog.student import student_quantile
-from fdilog.windows import Survey, spans
+from fdilog.windows.survey import Survey, spans
 
 SETTLED = 3.0
 """Time constants of the observer after which 5 % of a transient are left."""

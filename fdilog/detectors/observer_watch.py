@@ -22,9 +22,9 @@ from fdilog.detectors.observer import (
     propagate,
 )
 from fdilog.errors import UsageError
-from fdilog.geometry import Floats
-from fdilog.signals import Signal, held, sampled
-from fdilog.windows import Survey, stretches
+from fdilog.maths.geometry import Floats
+from fdilog.sources.signals import Signal, held, sampled
+from fdilog.windows.survey import Survey, stretches
 
 FORGOTTEN = 5.0
 """Time constants after which an observer no longer knows where it started: 1 % is left."""

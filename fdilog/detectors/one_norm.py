@@ -4,7 +4,7 @@ Attributed in [Larin15] to Lebedev: minimise ``|e|_1`` subject to ``V e = V z``,
 as the least absolute deviations fit of the rate, ``e = z - H w``.  No linear program is solved:
 some fit passes through as many independent channels as the axes have rank, so all such bases are
 tried.  With a basis B, the error of another channel i is ``c . z / c_i`` over the one circuit
-(`fdilog.circuits`) within B and i, so the 1-norms of all bases are one matrix product of the
+(`fdilog.maths.circuits`) within B and i, so the 1-norms of all bases are one matrix product of the
 moduli ``|c . z|``.
 """
 
@@ -19,12 +19,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fdilog.circuits import find_circuits, linear_forms
 from fdilog.detectors.vote import voted_evidence
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats, checked_readings
+from fdilog.maths.circuits import find_circuits, linear_forms
+from fdilog.maths.geometry import Floats, checked_readings
 from fdilog.registry import Stage
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 ROUNDING = 64 * np.finfo(float).eps
 """1-norms closer than this share of the readings are a tie: they sum some tens of rounded terms."""

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fdilog.finding import Evidence
-from fdilog.geometry import (
+from fdilog.maths.geometry import (
     RANK_TOLERANCE,
     Floats,
     checked_readings,
     parity_matrix,
     parity_matrix_qr,
 )
-from fdilog.isolation import comparative_evidence, isolate
 from fdilog.registry import Stage
-from fdilog.usual import usual
-from fdilog.windows import Survey
+from fdilog.windows.isolation import comparative_evidence, isolate
+from fdilog.windows.survey import Survey
+from fdilog.windows.usual import usual
 
 
 def parity_search(

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fdilog.detectors.vote import ballot, named_channel, voted_evidence
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats, checked_axes, checked_readings, leave_one_out
+from fdilog.maths.geometry import Floats, checked_axes, checked_readings, leave_one_out
 from fdilog.registry import Stage
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 
 
 def pair_rows(axes: ArrayLike) -> Floats:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats, detectable, isolability_groups, parity_matrix
-from fdilog.isolation import (
+from fdilog.maths.geometry import Floats, detectable, isolability_groups, parity_matrix
+from fdilog.windows.isolation import (
     Answer,
     Comparison,
     comparative_evidence,
@@ -24,7 +24,7 @@ from fdilog.isolation import (
     family_wise_confidence,
     numbered_suspects,
 )
-from fdilog.windows import Moments, Survey
+from fdilog.windows.survey import Moments, Survey
 
 Naming = Callable[[Floats, Floats], NDArray[np.bool_]]
 """A method's vote: mean readings (n_windows, n_channels) and axes (n_channels, 3) to the channels
@@ -99,8 +99,8 @@ def elect(moments: Moments, survey: Survey, naming: Naming, *, needs: int = 1) -
     """Let a method name the failed channels of one block, where its channels disagree.
 
     1. Detection: the method is asked where some channel's difference from its prediction lies
-       beyond its tolerance for sure (`fdilog.isolation.Comparison.outside`). That happens without
-       a failure no more often than ``windows.false_findings_per_hour`` says.
+       beyond its tolerance for sure (`fdilog.windows.isolation.Comparison.outside`). That happens
+       without a failure no more often than ``windows.false_findings_per_hour`` says.
     2. Vote: what it names is struck out. If what is left agrees, the vote stands; if not, the
        method is asked again about what is left, while a check of the answer remains possible.
     3. What was struck out but agrees with the sound channels is taken back.

@@ -12,7 +12,7 @@ import numpy as np
 
 from fdilog.detectors.determinants import determinant_search
 from fdilog.detectors.kalman import kalman_search
-from fdilog.geometry import Floats, named_axes
+from fdilog.maths.geometry import Floats, named_axes
 from fdilog.reproduce.row import Row, rounded
 
 BODY_RATE = (1.0, 2.0, 3.0)

@@ -16,7 +16,7 @@ import numpy as np
 
 from fdilog.detectors.baselines import least_absolute_errors, least_squares_errors
 from fdilog.detectors.guaranteed import guaranteed_intervals
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.reproduce.row import Row, rounded
 
 BOUND_DEG_H, THRESHOLD_DEG_H = 1.0, 10.0

@@ -25,7 +25,7 @@ from fdilog.detectors.observer import (
     observer_residual,
     propagate,
 )
-from fdilog.geometry import Floats
+from fdilog.maths.geometry import Floats
 from fdilog.reproduce.row import Row
 
 STEP_S, END_S = 0.05, 90.0

@@ -20,7 +20,7 @@ from fdilog.detectors.difference import (
 )
 from fdilog.detectors.joint import joint_suspects, joint_test
 from fdilog.detectors.searches import mean_modulus, mean_square, mean_square_rate_deviation
-from fdilog.geometry import Floats, named_axes
+from fdilog.maths.geometry import Floats, named_axes
 from fdilog.reproduce.row import Row, counted
 
 GEOMETRY = "mirrored-triads"

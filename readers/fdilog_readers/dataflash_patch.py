@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.errors import UsageError
-from fdilog.injection import Change
+from fdilog.experiments.injection import Change
 from fdilog_readers.dataflash_layout import (
     FIELDS,
     FMT_LENGTH,

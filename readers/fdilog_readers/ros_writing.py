@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.attitude import logged_attitude
 from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
-from fdilog.sources import Gyro, choose
+from fdilog.sources.assembly import Gyro, choose
+from fdilog.sources.attitude import logged_attitude
 
 Floats = NDArray[np.float64]
 Message = tuple[int, str, bytes]

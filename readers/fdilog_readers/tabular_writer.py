@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fdilog.clocks import clean_stamps, place, time_base
 from fdilog.config import Config
 from fdilog.recording import Recording
-from fdilog.sources import choose
+from fdilog.sources.assembly import choose
+from fdilog.sources.clocks import clean_stamps, place, time_base
 
 suffix = ".csv"
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.motion import quaternion
+from fdilog.experiments.motion import quaternion
 from fdilog.recording import Recording, Stream
-from fdilog.sources import Gyro
+from fdilog.sources.assembly import Gyro
 from fdilog_readers.triads import numbered_triads
 from fdilog_readers.ulog_layout import HEADER_BYTES, MAGIC, TYPES
 

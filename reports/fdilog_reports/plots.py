@@ -19,7 +19,7 @@ import numpy as np
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Evidence
-from fdilog.geometry import blocks
+from fdilog.maths.geometry import blocks
 from fdilog_reports.figures import RateAxis, TimeAxis
 from fdilog_reports.residuals import Residual, drawn_evidence, intervals, mirrored, residuals
 from fdilog_reports.sentences import KIND_NAME, finding_sentence

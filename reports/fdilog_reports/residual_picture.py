@@ -8,7 +8,7 @@ import numpy as np
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Evidence
-from fdilog.geometry import blocks
+from fdilog.maths.geometry import blocks
 from fdilog_reports.figures import (
     BINS,
     HIGH,

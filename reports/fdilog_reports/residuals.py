@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Evidence
-from fdilog.geometry import leave_one_out
+from fdilog.maths.geometry import leave_one_out
 from fdilog.table import ChannelTable
 
 Floats = NDArray[np.float64]

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from fdilog.analysis import Analysis
+from fdilog.decision.revealed import FEWEST_READINGS
 from fdilog.finding import Finding, Size
-from fdilog.revealed import FEWEST_READINGS
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,

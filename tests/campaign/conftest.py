@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fdilog.faults import Fault
+from fdilog.experiments.faults import Fault
 from tests.campaign_logs import ENTRY_POINT, READER, flight
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fdilog.simulate import Airframe, simulate
+from fdilog.experiments.simulate import Airframe, simulate
 from fdilog.writing import write
 from tests.campaign_logs import run_audit
 

@@ -16,11 +16,11 @@ from fdilog.analysis import analyse_recording
 from fdilog.cli import app
 from fdilog.config import Config
 from fdilog.errors import UsageError
-from fdilog.faults import Fault
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.sensitivity import RESOLUTION, VOTERS, Sensitivity, sensitivity, smallest
+from fdilog.experiments.sensitivity_report import as_json, as_svg, in_words
+from fdilog.experiments.simulate import simulate
 from fdilog.registry import plugins
-from fdilog.sensitivity import RESOLUTION, VOTERS, Sensitivity, sensitivity, smallest
-from fdilog.sensitivity_report import as_json, as_svg, in_words
-from fdilog.simulate import simulate
 from fdilog.writing import write
 
 FLIGHT = simulate(50.0, 20.0, seed=3).recording(attitude=False)

@@ -11,7 +11,7 @@ from fdilog.config import Config
 from fdilog.finding import SIZE_UNIT, Evidence
 from fdilog.registry import Detector, plugins
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut, spans
+from fdilog.windows.survey import Survey, cut, spans
 from tests.tables import DEG, biased, put, triads, unit
 
 NAMES = tuple(plugins("detectors"))

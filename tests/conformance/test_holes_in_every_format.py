@@ -14,8 +14,8 @@ import pytest
 from mcap.writer import CompressionType
 
 from fdilog import read as read_log
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording
-from fdilog.simulate import simulate
 from fdilog.writing import write
 from tests import bags
 from tests.bags import IMU, by_time, readings

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fdilog.noise import windowed_mean
-from fdilog.student import student_quantile
+from fdilog.maths.noise import windowed_mean
+from fdilog.maths.student import student_quantile
 
 Floats = NDArray[np.float64]
 N_WINDOWS = 20_000

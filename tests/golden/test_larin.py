@@ -15,7 +15,7 @@ from fdilog.detectors.determinants import (
 )
 from fdilog.detectors.kalman import kalman_search
 from fdilog.detectors.parity import parity_search
-from fdilog.geometry import Floats, named_axes
+from fdilog.maths.geometry import Floats, named_axes
 
 Search = Callable[..., tuple[Floats, Any]]
 

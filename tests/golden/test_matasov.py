@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fdilog.detectors.baselines import least_absolute_errors, least_squares_errors
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.reproduce import reproduce
 
 AXES = named_axes("matasov")

@@ -16,7 +16,7 @@ import pytest
 
 from fdilog.detectors.guaranteed import guaranteed_intervals
 from fdilog.detectors.one_norm import one_norm_errors
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 
 BOUND = 1.0
 THRESHOLD = 10.0

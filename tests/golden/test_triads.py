@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.detectors.joint import joint_suspects, joint_test
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.reproduce.triads import (
     BIAS_SIGMA_DEG_S,
     NO_NOISE_DEG_S,

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from fdilog.faults import KINDS, SIZE_UNITS, Fault, apply, touched
-from fdilog.injection import inject
+from fdilog.experiments.faults import KINDS, SIZE_UNITS, Fault, apply, touched
+from fdilog.experiments.injection import inject
 from fdilog.recording import Recording, Stream
 from fdilog.registry import plugin, read
 from fdilog.writing import write

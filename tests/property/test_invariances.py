@@ -12,7 +12,7 @@ from fdilog.config import Config
 from fdilog.detectors.parity import ParityDetector
 from fdilog.finding import Evidence
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut
+from fdilog.windows.survey import Survey, cut
 from tests.tables import DEG, changed, triads
 
 CONFIG = Config().replace("tolerance", scale=1e-9).replace("noise", time_sigma_s=0.0)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from fdilog.detectors.observer import held_step, propagate
 from fdilog.detectors.observer_evidence import Alarm, ObserverDetector, alarms
 from fdilog.detectors.observer_watch import watched
-from fdilog.geometry import Floats
+from fdilog.maths.geometry import Floats
 from fdilog.reproduce.observer import NOISE, vessel
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 from tests.vessels import configured, gyros, sailed, survey_of
 
 TIME_S = np.arange(1600) * 0.05

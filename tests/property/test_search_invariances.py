@@ -16,7 +16,7 @@ from fdilog.detectors.joint import joint_test
 from fdilog.detectors.kalman import kalman_search, total_chi_square
 from fdilog.detectors.parity import parity_search
 from fdilog.detectors.searches import mean_modulus, mean_square, mean_square_rate_deviation
-from fdilog.geometry import (
+from fdilog.maths.geometry import (
     GEOMETRIES,
     Floats,
     blocks,

@@ -12,7 +12,7 @@ import pytest
 from fdilog.errors import NoGyroError
 from fdilog.recording import Recording
 from fdilog.registry import read
-from fdilog.sources import channel_table
+from fdilog.sources.assembly import channel_table
 from tests.bags import AXES, losses, stream
 
 IMUS = {

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from fdilog.analysis import analyse_recording
-from fdilog.calibration import Calibration, calibrate
 from fdilog.config import Config
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.sources import assemble
+from fdilog.sources.assembly import assemble
+from fdilog.windows.calibration import Calibration, calibrate
 
 TURN_DEG, SCALE, LATE_S = 2.0, 0.01, 0.030
 TELLING = ("quad_2imu_50hz_a", "quad_2imu_50hz_b", "hexa_2imu_25hz", "copter_2imu_50hz")

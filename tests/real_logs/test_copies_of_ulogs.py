@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fdilog.config import Config
-from fdilog.faults import Fault, FaultKind
-from fdilog.injection import inject
+from fdilog.experiments.faults import Fault, FaultKind
+from fdilog.experiments.injection import inject
 from fdilog.recording import Recording
 from fdilog.registry import read
-from fdilog.sources import Gyro, assemble, choose
+from fdilog.sources.assembly import Gyro, assemble, choose
 from fdilog.writing import write_injected
 from tests.ulog_oracle import official
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fdilog.faults import Fault
-from fdilog.injection import inject
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
 from fdilog.registry import plugin, read
 
 LOGS = [

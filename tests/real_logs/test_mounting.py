@@ -9,11 +9,11 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.errors import NoGyroError, UnreadableLogError
-from fdilog.faults import Fault
-from fdilog.injection import inject
-from fdilog.mounting import mounting_findings, mountings
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
 from fdilog.registry import read
-from fdilog.sources import assemble
+from fdilog.sources.assembly import assemble
+from fdilog.sources.mounting import mounting_findings, mountings
 
 SUFFIXES = {".bin", ".tlog", ".ulg", ".bag", ".mcap"}
 

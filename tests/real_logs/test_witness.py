@@ -11,8 +11,8 @@ import pytest
 
 from fdilog.analysis import analyse_recording
 from fdilog.config import Config
-from fdilog.faults import Fault
-from fdilog.injection import inject
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
 from fdilog.recording import Recording
 from fdilog.registry import read
 

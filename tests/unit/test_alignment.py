@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.alignment import aligned_windows
-from fdilog.analysis import judge
 from fdilog.config import Config
+from fdilog.decision.alignment import aligned_windows
+from fdilog.decision.judgement import judge
 from fdilog.finding import Evidence
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut, spans
+from fdilog.windows.survey import Survey, cut, spans
 from tests.tables import DEG, changed, put, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity",))

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fdilog.alignment import aligned_windows
 from fdilog.config import Config
+from fdilog.decision.alignment import aligned_windows
 from fdilog.detectors.parity import ParityDetector
 from fdilog.finding import Evidence
-from fdilog.windows import Survey, cut
+from fdilog.windows.survey import Survey, cut
 from tests.tables import DEG, changed, triads
 
 

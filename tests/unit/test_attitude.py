@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fdilog.attitude import (
+from fdilog.sources.attitude import (
     from_euler,
     interpolated,
     logged_attitude,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fdilog.autopilot import AutopilotNote, autopilot_notes, with_quotes
+from fdilog.decision.autopilot import AutopilotNote, autopilot_notes, with_quotes
 from fdilog.finding import Finding
 from fdilog.recording import Recording, Stream
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fdilog.analysis import judge
-from fdilog.calibration import _corrected
-from fdilog.clocks import clean_stamps, place, time_base
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.detectors.excess_noise import NoiseDetector
 from fdilog.recording import Recording, Stream
-from fdilog.sources import assemble, channel_table
+from fdilog.sources.assembly import assemble, channel_table
+from fdilog.sources.clocks import clean_stamps, place, time_base
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut
+from fdilog.windows.calibration import _corrected
+from fdilog.windows.survey import Survey, cut
 from tests.tables import DEG, changed, table_of, triads
 
 Floats = NDArray[np.float64]

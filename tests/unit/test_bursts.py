@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.analysis import judge
-from fdilog.bursts import burst_windows
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.table import ChannelTable
+from fdilog.windows.bursts import burst_windows
 from tests.tables import DEG, changed, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity", "impulse", "dropout", "flatline", "noise"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fdilog.clocks import RESTART_PAUSE_NS, clean_stamps, place, time_base
+from fdilog.sources.clocks import RESTART_PAUSE_NS, clean_stamps, place, time_base
 
 SECOND = 1_000_000_000
 

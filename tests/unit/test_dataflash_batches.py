@@ -13,7 +13,7 @@ import numpy as np
 from fdilog.analysis import analyse_recording
 from fdilog.config import Config
 from fdilog.recording import Recording, Stream
-from fdilog.sources import assemble
+from fdilog.sources.assembly import assemble
 from fdilog_readers import dataflash
 from tests.dataflash_bytes import FMT_FIELDS, fmt, record
 

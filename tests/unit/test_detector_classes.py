@@ -16,10 +16,10 @@ from fdilog.detectors.determinants import (
 from fdilog.detectors.kalman import kalman_search, last_innovation_ratio
 from fdilog.detectors.vote import exchangeable
 from fdilog.finding import Evidence
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.registry import plugin
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey, cut
+from fdilog.windows.survey import Survey, cut
 from tests.tables import DEG, biased, put, unit
 
 VOTING = (

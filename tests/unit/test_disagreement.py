@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
-from fdilog.disagreement import with_disagreement
-from fdilog.faults import Fault
-from fdilog.injection import inject
-from fdilog.mounting import mountings
+from fdilog.decision.disagreement import with_disagreement
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
-from fdilog.simulate import simulate
-from fdilog.sources import assemble
+from fdilog.sources.assembly import assemble
+from fdilog.sources.mounting import mountings
 from fdilog.table import ChannelTable
 
 OWN_FINDINGS = Config().replace(

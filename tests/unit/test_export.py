@@ -9,11 +9,11 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.errors import UsageError
+from fdilog.experiments.simulate import simulate
 from fdilog.export import export
 from fdilog.recording import Recording
 from fdilog.registry import plugins, read
-from fdilog.simulate import simulate
-from fdilog.sources import choose
+from fdilog.sources.assembly import choose
 from fdilog.writing import write
 
 NAMES = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fdilog.errors import UsageError
-from fdilog.faults import KINDS, SIZE_UNITS, Fault, apply, noise_sigma, touched
+from fdilog.experiments.faults import KINDS, SIZE_UNITS, Fault, apply, noise_sigma, touched
 
 TIME_S = np.arange(0.0, 100.0, 0.02)
 BEFORE = TIME_S < 40.0

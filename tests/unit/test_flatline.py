@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fdilog.analysis import judge
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.detectors.flatline import runs_of_equal
 from fdilog.table import ChannelTable
 from tests.tables import DEG, table_of, triads

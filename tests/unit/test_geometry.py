@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fdilog.geometry import (
+from fdilog.maths.geometry import (
     GEOMETRIES,
     TRIAD_CONE_RAD,
     blocks,

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from fdilog.circuits import find_circuits
 from fdilog.detectors.guaranteed import BLOCK, guaranteed_intervals
-from fdilog.geometry import named_axes
+from fdilog.maths.circuits import find_circuits
+from fdilog.maths.geometry import named_axes
 from tests.oracles import EDGE, SCALE, guaranteed_by_programs, random_instance, skewed_axes, slabs
 
 Floats = NDArray[np.float64]

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fdilog.analysis import judge
 from fdilog.config import Config
+from fdilog.decision.findings import self_evident_findings
+from fdilog.decision.judgement import judge
 from fdilog.detectors.impulse import (
     BESIDE,
     FEWEST_AROUND,
@@ -18,8 +19,7 @@ from fdilog.detectors.impulse import (
     ImpulseDetector,
     _levels,
 )
-from fdilog.findings import self_evident_findings
-from fdilog.windows import Survey, spans
+from fdilog.windows.survey import Survey, spans
 from tests.tables import table_of, triads
 
 

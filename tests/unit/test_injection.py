@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from fdilog.errors import UsageError
-from fdilog.faults import Fault, noise_sigma
-from fdilog.injection import Injection, inject
+from fdilog.experiments.faults import Fault, noise_sigma
+from fdilog.experiments.injection import Injection, inject
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
 from fdilog.registry import plugin, read
-from fdilog.simulate import simulate
 from fdilog.writing import write, write_injected
 
 

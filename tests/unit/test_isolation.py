@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 from scipy.special import erfc
 
 from fdilog.config import Config
-from fdilog.isolation import family_wise_confidence, non_negative_least_squares
+from fdilog.windows.isolation import family_wise_confidence, non_negative_least_squares
 
 
 def test_non_negative_least_squares_is_that_of_scipy() -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.detectors.joint import JointEvidence, joint_suspects, joint_test
-from fdilog.geometry import Floats, named_axes, parity_matrix
+from fdilog.maths.geometry import Floats, named_axes, parity_matrix
 
 BIAS_SIGMA, SCALE_SIGMA, SIGMA = 0.01, 0.02, 0.05
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.analysis import judge
 from fdilog.config import Config
-from fdilog.decision import conclude
+from fdilog.decision.judgement import judge
+from fdilog.decision.verdict import conclude
 from fdilog.finding import Finding
 from fdilog.table import ChannelTable
 from tests.tables import DEG, changed, put, table_of, triads

@@ -9,9 +9,9 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.errors import UsageError
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording
-from fdilog.simulate import simulate
-from fdilog.sources import choose
+from fdilog.sources.assembly import choose
 from fdilog_readers import mavlink, mavlink_writer
 from tests.mavlink_oracle import official
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.analysis import Judgement, judge
 from fdilog.config import Config
-from fdilog.geometry import Floats
-from fdilog.modelled import with_model
+from fdilog.decision.judgement import Judgement, judge
+from fdilog.decision.modelled import with_model
+from fdilog.maths.geometry import Floats
 from fdilog.table import ChannelTable
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 from tests.tables import table_of
 from tests.vessels import configured, sailed
 

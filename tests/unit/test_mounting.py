@@ -11,13 +11,13 @@ import pytest
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
-from fdilog.faults import Fault
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.motion import Airframe
+from fdilog.experiments.simulate import simulate
 from fdilog.finding import Finding
-from fdilog.motion import Airframe
-from fdilog.mounting import mountings, turned_back
-from fdilog.simulate import simulate
-from fdilog.sources import assemble
-from fdilog.turned import signed_permutations, turns
+from fdilog.sources.assembly import assemble
+from fdilog.sources.mounting import mountings, turned_back
+from fdilog.sources.turned import signed_permutations, turns
 
 OWN_FINDINGS = Config().replace(
     "detectors", use=("parity", "impulse", "dropout", "flatline", "noise")

@@ -7,7 +7,7 @@ import pytest
 
 from fdilog.errors import NoGyroError
 from fdilog.recording import Problem, Recording, Stream
-from fdilog.sources import channel_table
+from fdilog.sources.assembly import channel_table
 
 
 def told(*problems: Problem) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fdilog import noise
-from fdilog.noise import quantisation_step, robust_sigma, windowed_mean
-from fdilog.student import student_quantile
+from fdilog.maths import noise
+from fdilog.maths.noise import quantisation_step, robust_sigma, windowed_mean
+from fdilog.maths.student import student_quantile
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from fdilog.detectors.observer import (
     observer_residual,
     propagate,
 )
-from fdilog.geometry import Floats
+from fdilog.maths.geometry import Floats
 
 A = np.array([[-0.25, -0.9], [-0.05, -0.6]])
 B = np.array([[0.1], [-0.3]])

@@ -13,9 +13,9 @@ from fdilog.detectors.observer_evidence import ObserverDetector, alarms
 from fdilog.detectors.observer_watch import check, explained, watched
 from fdilog.errors import UsageError
 from fdilog.finding import Evidence
-from fdilog.geometry import Floats
+from fdilog.maths.geometry import Floats
 from fdilog.reproduce.observer import NOISE, vessel
-from fdilog.windows import Survey
+from fdilog.windows.survey import Survey
 from tests.vessels import OUTPUTS, configured, gyros, sailed, survey_of
 
 TIME_S = np.arange(2400) * 0.05

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.detectors.one_norm import BLOCK, one_norm_errors
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from tests.oracles import least_one_norms
 
 Floats = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fdilog.analysis import judge
 from fdilog.config import Config
-from fdilog.prediction import deviations, deviations_as_logged, innovations
+from fdilog.decision.judgement import judge
 from fdilog.recording import Recording, Stream
-from fdilog.sources import channel_table
+from fdilog.sources.assembly import channel_table
 from fdilog.table import ChannelTable
+from fdilog.windows.prediction import deviations, deviations_as_logged, innovations
 from tests.tables import DEG, table_of, triads
 
 CONFIG = Config().replace("detectors", use=("parity", "impulse", "noise"))

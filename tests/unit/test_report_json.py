@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fdilog.analysis import Analysis, Part
-from fdilog.autopilot import AutopilotNote
+from fdilog.decision.autopilot import AutopilotNote
 from fdilog.finding import Interval, Size
 from fdilog_reports import json as report
 from tests.reports_factory import analysis, bias, failed_analysis, pair_analysis, table

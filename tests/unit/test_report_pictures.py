@@ -11,7 +11,7 @@ import pytest
 
 from fdilog.analysis import Analysis
 from fdilog.finding import Evidence
-from fdilog.geometry import named_axes
+from fdilog.maths.geometry import named_axes
 from fdilog.table import Channel, ChannelTable
 from fdilog_reports import html
 from fdilog_reports.figures import RateAxis, TimeAxis, envelope, outline

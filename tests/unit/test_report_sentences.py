@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fdilog.analysis import Part
-from fdilog.autopilot import AutopilotNote
 from fdilog.config import Config
+from fdilog.decision.autopilot import AutopilotNote
 from fdilog.finding import Finding, Size
 from fdilog_reports import html
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence

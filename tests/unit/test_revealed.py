@@ -10,9 +10,9 @@ import pytest
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
-from fdilog.faults import Fault
-from fdilog.revealed import Revealed, revealed
-from fdilog.simulate import simulate
+from fdilog.decision.revealed import Revealed, revealed
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.simulate import simulate
 from fdilog_reports.sentences import limits
 from fdilog_reports.text import render
 

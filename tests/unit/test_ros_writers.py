@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from fdilog.errors import NoGyroError, UsageError
-from fdilog.faults import Fault
-from fdilog.flight import Flight
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.flight import Flight
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.simulate import simulate
-from fdilog.sources import channel_table
+from fdilog.sources.assembly import channel_table
 from fdilog.writing import write
 from fdilog_readers import mcap_writer, rosbag2_writer
 from tests.bags import AXES, losses, stream

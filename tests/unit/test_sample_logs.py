@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from fdilog.config import Config
-from fdilog.faults import Fault
+from fdilog.experiments.faults import Fault
 from fdilog.registry import read
-from fdilog.sources import choose
+from fdilog.sources.assembly import choose
 
 KILOBYTE = 1000
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fdilog.analysis import judge
-from fdilog.calibration import calibrate
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.detectors.excess_noise import capped_sigma
-from fdilog.edges import best_ramp, best_scale, best_step
 from fdilog.finding import Finding
-from fdilog.offsets import estimate_offset
+from fdilog.sources.offsets import estimate_offset
+from fdilog.windows.calibration import calibrate
+from fdilog.windows.edges import best_ramp, best_scale, best_step
 from tests.tables import DEG, changed, table_of, triads
 
 CONFIG = Config()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
-from fdilog.signals import Signal, find_signals, held, sampled, streams_of
+from fdilog.sources.signals import Signal, find_signals, held, sampled, streams_of
 
 GRID = np.arange(0.0, 10.0, 0.1)
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from fdilog.errors import UsageError
-from fdilog.faults import Fault
-from fdilog.flight import Flight
-from fdilog.geometry import named_axes
-from fdilog.motion import Airframe
-from fdilog.simulate import GRAVITY_M_S2, GyroErrors, Timing, simulate
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.flight import Flight
+from fdilog.experiments.motion import Airframe
+from fdilog.experiments.simulate import GRAVITY_M_S2, GyroErrors, Timing, simulate
+from fdilog.maths.geometry import named_axes
 
 CALM = Airframe(vibration_rad_s=0.0)
 PERFECT = GyroErrors(bias_rad_s=0.0, scale=0.0, mounting_rad=0.0, noise_rad_s=0.0)
@@ -241,7 +241,7 @@ def test_five_times_the_noise_is_five_times_what_the_gyro_has_of_its_own() -> No
 
 def test_channels_are_named_as_an_analysis_names_them() -> None:
     from fdilog.config import Config
-    from fdilog.sources import choose
+    from fdilog.sources.assembly import choose
 
     for settings in ({"sources": 2}, {"geometry": "pentagon"}, {"geometry": "dodecahedron"}):
         flight = simulate(10.0, seed=1, **settings)

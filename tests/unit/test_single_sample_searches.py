@@ -29,7 +29,7 @@ from fdilog.detectors.kalman import innovation_rows, kalman_search, total_chi_sq
 from fdilog.detectors.parity import parity_search
 from fdilog.detectors.searches import mean_modulus, mean_square, mean_square_rate_deviation
 from fdilog.detectors.vote import named_channel
-from fdilog.geometry import Floats, named_axes, parity_matrix, residual_projector
+from fdilog.maths.geometry import Floats, named_axes, parity_matrix, residual_projector
 
 SKEWED = ("mirrored-triads", "matasov", "pentagon", "dodecahedron")
 Search = Callable[[Floats, Floats], tuple[Floats, Any]]

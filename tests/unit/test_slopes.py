@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fdilog.analysis import judge
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.finding import Finding
-from fdilog.slopes import slopes
 from fdilog.table import ChannelTable
+from fdilog.windows.slopes import slopes
 from tests.tables import DEG, table_of
 
 CONFIG = Config().replace("detectors", use=("parity",))

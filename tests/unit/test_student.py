@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtr, stdtrit
 
-from fdilog.student import _quantile, student_quantile, two_sided_tail
+from fdilog.maths.student import _quantile, student_quantile, two_sided_tail
 
 CONFIDENCES = (0.5, 0.95, 0.999, 1 - 1e-6, 1 - 1e-9, 1 - 1e-12)
 

@@ -10,10 +10,10 @@ import pytest
 
 from fdilog.analysis import Analysis, analyse_recording
 from fdilog.config import Config
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
-from fdilog.simulate import simulate
-from fdilog.sources import assemble
-from fdilog.temperature import temperature_notes
+from fdilog.sources.assembly import assemble
+from fdilog.sources.temperature import temperature_notes
 
 OWN_FINDINGS = Config().replace("detectors", use=("parity",))
 

@@ -8,10 +8,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from fdilog import testimony
-from fdilog.anchors import Drift
 from fdilog.config import Config
-from fdilog.witness import Witness
+from fdilog.decision import testimony
+from fdilog.sources.anchors import Drift
+from fdilog.sources.witness import Witness
 from tests.tables import DEG, triads
 
 NO_DRIFT = Drift(

@@ -10,12 +10,12 @@ import pytest
 
 from fdilog.config import Config, GyroSource
 from fdilog.errors import NoGyroError, UsageError
-from fdilog.faults import Fault
-from fdilog.injection import inject
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.injection import inject
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording
 from fdilog.registry import read
-from fdilog.simulate import simulate
-from fdilog.sources import choose
+from fdilog.sources.assembly import choose
 from fdilog.writing import write, write_injected
 from fdilog_readers import ulog, ulog_writer
 from tests.ulog_oracle import official

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.geometry import TRIAD_CONE_RAD, named_axes, two_triads
-from fdilog.unit_design import (
+from fdilog.maths.geometry import TRIAD_CONE_RAD, named_axes, two_triads
+from fdilog.maths.unit_design import (
     CRITERIA,
     condition_number,
     covariance_trace,

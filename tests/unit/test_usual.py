@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fdilog.analysis import judge
 from fdilog.config import Config
+from fdilog.decision.judgement import judge
 from fdilog.table import ChannelTable
-from fdilog.usual import usual
+from fdilog.windows.usual import usual
 from tests.tables import DEG, changed, put, triads
 
 CONFIG = Config().replace("detectors", use=("parity",))

@@ -12,14 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.analysis import Analysis, analyse, analyse_recording
-from fdilog.attitude import from_euler, interpolated, logged_attitude, matrices, product
 from fdilog.config import Config
-from fdilog.faults import Fault
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.flight import Flight
+from fdilog.experiments.simulate import simulate
 from fdilog.finding import Finding
-from fdilog.flight import Flight
 from fdilog.recording import Recording, Stream
-from fdilog.simulate import simulate
-from fdilog.sources import assemble
+from fdilog.sources.assembly import assemble
+from fdilog.sources.attitude import from_euler, interpolated, logged_attitude, matrices, product
 
 Floats = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.errors import NoGyroError, UsageError
-from fdilog.faults import Fault
-from fdilog.flight import FIRMWARE, Flight
+from fdilog.experiments.faults import Fault
+from fdilog.experiments.flight import FIRMWARE, Flight
+from fdilog.experiments.simulate import Timing, simulate
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.simulate import Timing, simulate
-from fdilog.sources import assemble, choose
+from fdilog.sources.assembly import assemble, choose
 from fdilog.writing import write
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.finding import Evidence
-from fdilog.windows import Survey, cut
+from fdilog.windows.survey import Survey, cut
 from tests.tables import biased, unit
 
 PAGE = Path(__file__).parents[2] / "docs" / "detectors" / "writing-one.md"

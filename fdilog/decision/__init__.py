@@ -1,0 +1,1 @@
+"""From evidence to findings, and from findings to channel status and verdict."""

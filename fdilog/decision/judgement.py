@@ -1,0 +1,228 @@
+"""From a table to all that is concluded from it: who is asked, in which order, who decides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdilog.config import Config
+from fdilog.decision.alignment import aligned_windows
+from fdilog.decision.biases import Hearing, bias_findings
+from fdilog.decision.disagreement import with_disagreement
+from fdilog.decision.findings import (
+    guaranteed_findings,
+    noise_findings,
+    self_evident_findings,
+)
+from fdilog.decision.scales import with_scales
+from fdilog.decision.steps import steps_as_logged
+from fdilog.decision.testimony import hear
+from fdilog.decision.verdict import channel_status, with_witness
+from fdilog.finding import Evidence, Finding, Status
+from fdilog.maths.geometry import blocks, detectable
+from fdilog.registry import Detector, detectors, plugins
+from fdilog.sources.mounting import mounting_findings, mountings, turned_back
+from fdilog.sources.witness import Witness
+from fdilog.table import ChannelTable
+from fdilog.windows.bursts import burst_windows
+from fdilog.windows.calibration import Calibration, calibrate, with_notes
+from fdilog.windows.slopes import scale_evidence
+from fdilog.windows.survey import Survey, cut, spans
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """What is concluded from a table alone."""
+
+    findings: tuple[Finding, ...]
+    status: tuple[Status, ...]
+    evidence: tuple[Evidence, ...]
+    calibration: tuple[Calibration, ...]
+
+
+def judge(
+    table: ChannelTable,
+    config: Config,
+    progress: Callable[[str], None] = lambda _: None,
+    witness: Witness | None = None,
+) -> Judgement:
+    """Run the detectors on a table and decide.
+
+    First of all every device is brought into the mounting that its rates show. Detectors that judge
+    each channel by itself go next. What they accuse is kept out of the comparisons, so that one
+    fault gives one finding and drags no other channel along.
+
+    The gyros decide among themselves. Derived channels are compared only with gyros that no other
+    gyro checks, and else only heard where the gyros leave several suspects.
+    """
+    names = config.detectors.use or _default_order(plugins("detectors"))
+    chosen = list(detectors(names))
+    progress("mounting")
+    mounted = mountings(table, one_frame=witness is None or witness.one_frame)
+    table = turned_back(table, mounted.found)
+    gyros = heard = table.gyros
+    whole = spans(gyros, np.array([0]), np.array([len(gyros.time_s)]))
+    alone: list[Evidence] = []
+    # In the order of their names, whatever was asked for: what is silent (dropout) or repeats
+    # itself (flatline) confirms no impulse.
+    for name, detector in sorted(chosen, key=lambda each: each[0]):
+        if detector.stage == "alone":
+            progress(name)
+            found = detector.detect(Survey(table=heard, windows=whole, config=config))
+            heard = without(heard, found)
+            alone.extend(found)
+    testified = with_derived(heard, table)
+    if witness is not None:
+        heard = testified.columns(compared_channels(testified))
+    sound, calibration, compared = _compared(heard, chosen, config, progress)
+    calibration = with_notes(calibration, mounted.notes())
+    sampled: list[Evidence] = []
+    each = np.arange(len(sound.time_s))
+    for name, detector in chosen:
+        if detector.stage == "samples":
+            progress(f"{name}, every sample")
+            windows = spans(heard, each, each + 1)
+            sampled.extend(detector.detect(Survey(table=heard, windows=windows, config=config)))
+    # An attitude is smoother than any gyro; only gyros tell noise from motion.
+    noisy = [] if heard is not heard.gyros else [item for item in compared if item.kind == "noise"]
+    scaled = [item for item in compared if item.kind == "scale"]
+    compared = [item for item in compared if item.kind == "bias"]
+    hearing = None if witness is None else _hearing(witness, testified, config)
+    biased = bias_findings(heard, sound, compared, config, hearing)
+    biased = with_scales(heard, sound, scaled, biased, config)
+    by_itself = self_evident_findings(gyros, alone)
+    findings = [
+        *mounting_findings(table, mounted.found),
+        *by_itself,
+        *noise_findings(heard, noisy, [*biased, *by_itself]),
+        *guaranteed_findings(heard, sampled, biased, config),
+    ]
+    findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
+    findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
+    decided = dict(zip(sound.names, channel_status(sound, compared, findings), strict=True))
+    status: tuple[Status, ...] = tuple(decided.get(name, "insufficient") for name in table.names)
+    if witness is not None:
+        status = with_witness(table, heard, status, witness.anchors, config)
+    return Judgement(
+        findings=tuple(findings),
+        status=status,
+        evidence=tuple(
+            _spread_over(table, of_columns, item)
+            for of_columns, items in ((gyros, alone), (heard, (*sampled, *compared, *noisy)))
+            for item in items
+        ),
+        calibration=calibration,
+    )
+
+
+def _compared(
+    table: ChannelTable,
+    chosen: Sequence[tuple[str, Detector]],
+    config: Config,
+    progress: Callable[[str], None],
+) -> tuple[ChannelTable, tuple[Calibration, ...], list[Evidence]]:
+    """Calibrate a table and compare its channels; where there are faults, calibrate without."""
+    sound, calibration = calibrate(table, config)
+    compared = _windowed(sound, chosen, config, progress)
+    biased = [item for item in compared if item.kind == "bias"]
+    steps = steps_as_logged(table, sound, biased, config)
+    if steps.any():
+        sound, calibration = calibrate(table, config, steps)
+        compared = _windowed(sound, chosen, config, progress)
+    return sound, calibration, compared
+
+
+def _windowed(
+    table: ChannelTable,
+    chosen: Sequence[tuple[str, Detector]],
+    config: Config,
+    progress: Callable[[str], None],
+) -> list[Evidence]:
+    """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
+    asked = [(name, detector) for name, detector in chosen if detector.stage == "windows"]
+    found: list[Evidence] = []
+    for windows in cut(table, config):
+        survey = Survey(table=table, windows=windows, config=config)
+        for name, detector in asked:
+            progress(f"{name}, {windows.length_s:g} s windows")
+            found.extend(detector.detect(survey))
+        found.append(scale_evidence(survey))
+    biased = [item for item in found if item.kind == "bias"]
+    leading = [item for item in biased if item.detector == biased[0].detector]
+    # What stands off for a moment does so by more than this flight's swells in all the hours of the
+    # budget; that is asked already, and too much of a few readings.
+    screened = config.replace("windows", false_findings_per_hour=float("inf"))
+    aligned, bursts = aligned_windows(table, leading), burst_windows(table, config)
+    for laid, settings in ((aligned, config), (bursts, screened)):
+        if laid is not None:
+            survey = Survey(table=table, windows=laid, config=settings)
+            for name, detector in asked:
+                progress(f"{name}, windows laid to fit")
+                found.extend(item for item in detector.detect(survey) if item.kind == "bias")
+    return found
+
+
+def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:
+    return lambda suspects, span: hear(witness, table, suspects, span, config)
+
+
+def with_derived(gyros: ChannelTable, table: ChannelTable) -> ChannelTable:
+    """Put the derived channels of a table behind the gyros."""
+    derived = [k for k, channel in enumerate(table.channels) if channel.derived]
+    if not derived:
+        return gyros
+    channels = [table.channels[k] for k in derived]
+    return gyros.beside(table.rate_rad_s[:, derived], table.valid[:, derived], channels)
+
+
+def compared_channels(table: ChannelTable) -> list[int]:
+    """Choose what is compared: the gyros, and the derived channels that alone check one of them."""
+    gyros = [k for k, channel in enumerate(table.channels) if not channel.derived]
+    checked = detectable(table.axes[gyros])
+    unchecked = {k for k, can in zip(gyros, checked, strict=True) if not can}
+    needed = {k for block in blocks(table.axes) if unchecked & set(block) for k in block}
+    return [k for k, channel in enumerate(table.channels) if not channel.derived or k in needed]
+
+
+def _spread_over(table: ChannelTable, part: ChannelTable, evidence: Evidence) -> Evidence:
+    """Lay evidence on some channels of a table out over all of them; the others are not tested."""
+    if part.names == table.names:
+        return evidence
+    columns = [table.names.index(name) for name in part.names]
+    shape = (len(evidence.windows), len(table.channels))
+
+    def laid(values: NDArray[Any], filling: Any) -> NDArray[Any]:
+        wide = np.full(shape, filling, values.dtype)
+        wide[:, columns] = values
+        return wide
+
+    return replace(
+        evidence,
+        tested=laid(evidence.tested, filling=False),
+        low=laid(evidence.low, -np.inf),
+        high=laid(evidence.high, np.inf),
+        tolerance=laid(evidence.tolerance, np.nan),
+        accused=laid(evidence.accused, 0),
+    )
+
+
+def _default_order(known: dict[str, object]) -> list[str]:
+    """Order every installed detector: parity leads, it names suspects only when it must."""
+    return sorted(known, key=lambda name: (name != "parity", name))
+
+
+def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
+    """Return the table with the readings that a channel's own evidence accuses marked invalid."""
+    if not evidence:
+        return table
+    valid = table.valid.copy()
+    for item in evidence:
+        for start, stop, accused in zip(
+            item.windows.start, item.windows.stop, item.accused, strict=True
+        ):
+            valid[start:stop, accused > 0] = False
+    return replace(table, rate_rad_s=np.where(valid, table.rate_rad_s, np.nan), valid=valid)

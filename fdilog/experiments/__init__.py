@@ -1,0 +1,1 @@
+"""Known faults in recorded and simulated flights, and what becomes of them."""

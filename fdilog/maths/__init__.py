@@ -1,0 +1,1 @@
+"""What needs no log: geometry, and how well a mean is known."""
