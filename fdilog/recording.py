@@ -49,6 +49,11 @@ class Stream:
     gyro, accelerometer
         The columns that are body angular rates (x, y, z, or any number of single-axis gyros), and
         the accelerations of the same physical device.
+    compass
+        The columns that are the magnetic field along the vehicle's x, y, z, in any unit.
+    velocity
+        The columns that are the velocity over ground to north and east, as GPS has it, not-a-number
+        where it has no fix. [m/s]
     channel_names
         Names of the gyro channels where the log itself names them (a table of one's own); else
         empty, and they are called ``imu0.x``, ``imu0.y`` ...
@@ -71,6 +76,8 @@ class Stream:
     clock: str = ""
     gyro: tuple[str, ...] = ()
     accelerometer: tuple[str, ...] = ()
+    compass: tuple[str, ...] = ()
+    velocity: tuple[str, ...] = ()
     channel_names: tuple[str, ...] = ()
     sensor: int | None = None
     origin: Origin = "sensor"

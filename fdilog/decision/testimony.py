@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from fdilog.config import Config
 from fdilog.maths.noise import windowed_mean
-from fdilog.sources.anchors import Drift
+from fdilog.sources.anchors import VAGUE, Drift
 from fdilog.sources.attitude import interpolated, matrices
-from fdilog.sources.witness import Witness
+from fdilog.sources.witness import Witness, triads
 from fdilog.table import ChannelTable
 
 Floats = NDArray[np.float64]
@@ -187,27 +187,57 @@ def testimony(
     axis = table.axes[channel]
     along = table.rate_rad_s[:, derived] @ (table.axes[derived] @ axis)
     apart = np.where(known, table.rate_rad_s[:, channel] - along, 0.0)
-    drift = witness.anchors.drift(
-        start_s, end_s, ANCHOR_CONFIDENCE, (table.time_s, _path(witness, table, apart, axis))
-    )
-    if drift is None:
-        return None
     looks = windowed_mean(apart[rows][None, :, None])
+    mean = float(looks.mean[0, 0])
+    doubted = (axis, _across(witness, table, axis, span))
+    path = (table.time_s, _path(witness, table, apart, axis))
+    anchors = witness.anchors
+    drift = anchors.drift(start_s, end_s, ANCHOR_CONFIDENCE, path, doubted)
+    of_attitude = anchors.drift(start_s, end_s, ANCHOR_CONFIDENCE, axis=doubted)
+    if drift is None or of_attitude is None:
+        return None
+    anchored, doubt = float(axis @ drift.error_rad_s), drift.half_width(axis)
+    bias = np.radians(config.tolerance.bias_deg_s)
+    tolerance = float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean())))
+    of_mean = looks.half_width(np.ones(1), ANCHOR_CONFIDENCE)[0]
+    if of_attitude.within(axis, tolerance) and of_mean < doubt:
+        # Where the attitude was right for sure, the gyro is off by what they differ by, whatever it
+        # does beside the span.
+        anchored = float(axis @ of_attitude.error_rad_s) + mean
+        doubt = math.hypot(of_attitude.half_width(axis), of_mean)
     outside = known.copy()
     outside[span[0] : span[1]] = False
     usual = float(np.median(apart[outside])) if outside.sum() >= len(rows) / 2 else 0.0
     first, middle, last = (float(apart[part].mean()) - usual for part in np.array_split(rows, 3))
-    bias = np.radians(config.tolerance.bias_deg_s)
-    doubt = drift.half_width(axis)
     return Testimony(
-        error=float(looks.mean[0, 0]),
+        error=mean,
         half_width=float(looks.half_width(np.ones(1), config.windows.confidence)[0]),
         drift=drift,
-        anchored=float(axis @ drift.error_rad_s),
+        anchored=anchored,
         anchored_half_width=doubt if doubt * (end_s - start_s) < MOST_DOUBT_RAD else math.inf,
-        tolerance=float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean()))),
+        tolerance=tolerance,
         thirds=(first, middle, last),
     )
+
+
+def _across(witness: Witness, table: ChannelTable, axis: Floats, span: tuple[int, int]) -> float:
+    """How far an attitude's rate may be wrong across an axis over a span. [rad/s]
+
+    As far as a healthy gyro, where it agrees with gyros about the other axes: they have not failed.
+    A filter that is drawn back from a failed gyro may turn about any axis meanwhile.
+    """
+    inside = np.zeros(len(table.time_s), bool)
+    inside[slice(*span)] = True
+    within = table.only(inside)
+    derived = [k for k, channel in enumerate(table.channels) if channel.derived]
+    attitude = within.rate_rad_s[:, derived] @ table.axes[derived]
+    nearest = VAGUE
+    for rows, rate in triads(within.gyros):
+        apart = (attitude[rows] - rate)[within.valid[rows][:, derived].all(axis=1)]
+        if len(apart):
+            mean = apart.mean(axis=0)
+            nearest = min(nearest, float(np.linalg.norm(mean - axis * (axis @ mean))))
+    return math.hypot(nearest, witness.anchors.healthy_rad_s)
 
 
 def _path(witness: Witness, table: ChannelTable, apart: Floats, axis: Floats) -> Floats:

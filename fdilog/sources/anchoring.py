@@ -20,16 +20,11 @@ from fdilog.sources.attitude import interpolated, matrices
 Floats = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665
-NORTH_EAST = ("GPS", "Spd", "GCrs", "Status")
-"""Stream of GPS with ground speed [m/s] and course [deg], as DataFlash logs have it."""
-GPS_FIX_3D = 3
 LONGEST_PAUSE_S = 1.1
 """The slowest GPS in use speaks once a second."""
 FEWEST_FIXES = 50
 GPS_LAGS_S = np.arange(0.0, 0.65, 0.1)
 """A GPS velocity is up to half a second old when it is logged."""
-FIELD = ("MagX", "MagY", "MagZ")
-COMPASS = "MAG"
 LONGEST_SAME_S = 5.0
 """A compass at rest repeats its last reading for two and a half seconds on recorded flights."""
 
@@ -143,23 +138,22 @@ def _segments(attitude: Attitude, edges: Floats) -> NDArray[np.int64]:
 
 
 def _compass(recording: Recording, attitude: Attitude, edges: Floats, zero_ns: int) -> Floats:
-    """Mean magnetic field in the world, over its usual size, (n_cells, 3)."""
-    nothing = np.full((len(edges) - 1, 3), np.nan)
-    stream = next((s for s in recording.streams if s.name == COMPASS), None)
-    if stream is None or not all(name in stream.columns for name in FIELD):
-        return nothing
-    values, time_s = _values(stream, FIELD), _times(stream, zero_ns)
-    instance = stream.columns.get("I")
-    if instance is not None and len(instance):
-        first = instance == instance.min()
-        values, time_s = values[first], time_s[first]
-    alive = ~_frozen(time_s, values)
-    values, time_s = values[alive], time_s[alive]
-    field = _turned(attitude, edges, time_s, values)
-    if not np.isfinite(field).any():
-        return nothing
-    usual = float(np.nanmedian(np.linalg.norm(field, axis=1)))
-    return field / usual if usual > 0 else nothing
+    """Mean magnetic field in the world, over its usual size, (n_cells, 3).
+
+    That of the compass that tells of the most cells, the first of them.
+    """
+    fields = [np.full((len(edges) - 1, 3), np.nan)]
+    for stream in recording.streams:
+        if len(stream.compass) != 3 or not stream.columns:
+            continue
+        values, time_s = _values(stream, stream.compass), _times(stream, zero_ns)
+        known = np.isfinite(values).all(axis=1)
+        values, time_s = values[known], time_s[known]
+        alive = ~_frozen(time_s, values)
+        field = _turned(attitude, edges, time_s[alive], values[alive])
+        if np.isfinite(field).any():
+            fields.append(field / float(np.nanmedian(np.linalg.norm(field, axis=1))))
+    return max(fields, key=lambda field: int(np.isfinite(field).all(axis=1).sum()))
 
 
 def _frozen(time_s: Floats, values: Floats) -> NDArray[np.bool_]:
@@ -178,18 +172,14 @@ def _acceleration_by_gps(
     It is used only where taking it out leaves less than there was: an accelerometer that vibration
     spoils, or a filter whose yaw is wrong all along, is not helped by it.
     """
-    name, *columns = NORTH_EAST
-    stream = next((s for s in recording.streams if s.name == name), None)
-    if stream is None or not all(column in stream.columns for column in columns):
+    stream = next((s for s in recording.streams if s.velocity and s.columns), None)
+    if stream is None:
         return None
-    time_s = _times(stream, zero_ns)
-    speed, course, status = (np.asarray(stream.columns[c], np.float64) for c in columns)
-    good = (status >= GPS_FIX_3D) & np.isfinite(speed) & np.isfinite(course)
-    good[1:] &= np.diff(time_s) > 0
+    time_s, velocity = _times(stream, zero_ns), _values(stream, stream.velocity)
+    good = np.isfinite(velocity).all(axis=1) & (np.diff(time_s, prepend=-np.inf) > 0)
     if good.sum() < FEWEST_FIXES:
         return None
-    time_s, speed, course = time_s[good], speed[good], np.radians(course[good])
-    velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course)])
+    time_s, velocity = time_s[good], velocity[good]
     after = np.clip(np.searchsorted(time_s, edges), 1, len(time_s) - 1)
     heard = (edges >= time_s[0]) & (edges <= time_s[-1])
     heard &= time_s[after] - time_s[after - 1] <= LONGEST_PAUSE_S

@@ -36,9 +36,14 @@ VAGUE = 1.0
 """Prior standard deviation of a rate error [rad/s] and of an attitude error [rad]: knows nothing.
 It makes an axis that no anchor shows a very wide interval instead of a division by zero."""
 
+LEAST_REACH_S = 10.0
+"""Over so long before and after a short span gravity is known to a degree or two, on recorded
+flights."""
+
 COMPASS_DOUBT_RAD = float(np.arcsin(0.6))
-"""How far a field of the vehicle's own may turn the compass during a flight. ArduPilot's compassmot
-calls an interference of 60 % of the earth's field the limit of what may fly."""
+"""How far a field of the vehicle's own may turn the compass during a flight: ArduPilot's compassmot
+calls an interference of 60 % of the earth's field the limit of what may fly. Over a part of what is
+looked at, it may have turned by as much less as a random walk does."""
 
 ROUNDS = 4
 LEAST_VARIANCE = 1e-8
@@ -122,11 +127,12 @@ class Anchors:
         end_s: float,
         confidence: float,
         path: tuple[Floats, Floats] | None = None,
+        axis: tuple[Floats, float] | None = None,
     ) -> Drift | None:
         """Fit the attitude's rate error over a span, or nothing where too little is known.
 
-        Half of the span before it and after it are looked at too: there the error is that of a
-        healthy gyro, so that the attitude before and after is known the better.
+        Half of the span before it and after it, or ten seconds, are looked at too: there the error
+        is that of a healthy gyro, so that the attitude before and after is known the better.
 
         Parameters
         ----------
@@ -134,32 +140,41 @@ class Anchors:
             Times (m,) [s] and by how much more than the attitude some gyro has turned until then,
             in the world, (m, 3) [rad]; the error is then that of the attitude that the gyro would
             have given.
+        axis
+            The axis (3,) in the body frame [1] about which alone something may have failed, and
+            the standard deviation of the rate error across it [rad/s]. Else it may be any.
         """
-        reach_s = (end_s - start_s) / 2
+        length_s = end_s - start_s
+        reach_s = max(length_s / 2, LEAST_REACH_S)
         known = _known(self.force)
         inside = known & self._within(start_s, end_s)
-        if inside.sum() < FEWEST_CELLS:
-            return None
         rows = self._told(known & self._within(start_s - reach_s, end_s + reach_s))
-        if not len(rows):
+        before, after = (self.time_s[rows] < start_s).sum(), (self.time_s[rows] > end_s).sum()
+        if inside.sum() < FEWEST_CELLS and min(before, after) < FEWEST_CELLS:
             return None
         more = np.zeros((len(rows), 3))
         if path is not None:
             columns = [np.interp(self.time_s[rows], path[0], column) for column in path[1].T]
             more = np.column_stack(columns)
         design, target, kind = self._equations(rows, (start_s, end_s), more)
-        error, variance, dof = _fitted(design, target, kind, self.healthy_rad_s)
+        information = np.eye(design.shape[2]) / VAGUE**2
+        information[3:6, 3:6] = np.eye(3) / self.healthy_rad_s**2
+        if axis is not None:
+            along = np.outer(axis[0], axis[0])
+            information[:3, :3] = along / VAGUE**2 + (np.eye(3) - along) / axis[1] ** 2
+        error, variance, dof = _fitted(design, target, kind, information)
         half = np.sqrt(variance) * student_quantile(dof, confidence)
         anchors = ["gravity", *(["GPS"] if self.by_gps else [])]
         if _known(self.compass[rows]).sum() >= FEWEST_CELLS:
             anchors.append("compass")
-            span_s = self.time_s[rows[-1]] - self.time_s[rows[0]] + CELL_S
+            seen_s = self.time_s[rows[-1]] - self.time_s[rows[0]] + CELL_S
             step = np.diff(self.turned[rows, 2], axis=0) / np.diff(self.time_s[rows])[:, None]
-            half = np.hypot(half, np.abs(step).mean(axis=0) * COMPASS_DOUBT_RAD / span_s)
+            doubt = COMPASS_DOUBT_RAD * np.sqrt(length_s / (2.0 * seen_s)) / length_s
+            half = np.hypot(half, np.abs(step).mean(axis=0) * doubt)
         return Drift(
             error_rad_s=error,
             half_width_rad_s=half,
-            tilt_rad=float(np.median(_angle(self.force[inside], self.expected[inside]))),
+            tilt_rad=float(np.median(_angle(self.force[rows], self.expected[rows]))),
             anchors=tuple(anchors),
         )
 
@@ -239,13 +254,18 @@ class Anchors:
 
 
 def _fitted(
-    design: Floats, target: Floats, kind: NDArray[np.int64], healthy_rad_s: float
+    design: Floats, target: Floats, kind: NDArray[np.int64], information: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit both rate errors by least squares with a prior, and add them up.
+    """Fit both rate errors by least squares, and add them up.
 
     Each kind of equation is weighted by the long-run variance of its residuals, which allows for
     noise of any colour: a manoeuvre that goes on counts for more, a velocity that comes back to
     what it was for less.
+
+    Parameters
+    ----------
+    information : (n_unknowns, n_unknowns)
+        What is known beforehand: the inverse of a covariance.
 
     Returns
     -------
@@ -257,8 +277,6 @@ def _fitted(
     """
     unknowns = design.shape[2]
     used = np.asarray(design.any(axis=2), bool)
-    prior = np.eye(unknowns) / VAGUE**2
-    prior[3:6, 3:6] = np.eye(3) / healthy_rad_s**2
     long_run = np.ones(len(kind))
     groups = [kind == group for group in np.unique(kind) if used[:, kind == group].any()]
     known = np.zeros(len(groups))
@@ -270,7 +288,7 @@ def _fitted(
         told = [
             np.einsum("nru,nrv->uv", design[:, g] / long_run[g, None], design[:, g]) for g in groups
         ]
-        covariance = np.linalg.inv(np.sum(told, axis=0) + prior)
+        covariance = np.linalg.inv(np.sum(told, axis=0) + information)
         weighted = design / long_run[:, None]
         solved = covariance @ np.einsum("nru,nr->u", weighted, target)
         residual = target - design @ solved

@@ -44,10 +44,13 @@ ONE_BODY_FRAME = ("dataflash", "dataflash-text", "tlog", "ulog", "simulated")
 """Formats of autopilots, which log gyros and attitude in the frame of the vehicle."""
 
 JUMP_RAD = np.radians(5.0)
-"""A step that turns so much further than any gyro says is a jump: a lane switch, a reset of yaw."""
+"""A step that turns so much further than any gyro says, and than the steps beside it do, is a jump:
+a lane switch, a reset of yaw."""
 JUMP_SIGMAS = 10.0
 LONGEST_JUMP = 2
-"""A jump is one step, or two where it falls between; what goes on for longer is another rate."""
+BESIDE = 5
+"""A jump is one step, or two where it falls between; what goes on for longer is another rate, and
+the steps before and after tell it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,7 +157,7 @@ def find_witness(
 def _contradicts(table: ChannelTable, rate: Floats) -> bool:
     """Tell whether an attitude explains the motion of no triad of gyros at all."""
     shares = []
-    for rows, gyro in _triads(table):
+    for rows, gyro in triads(table):
         second = np.floor(table.time_s[rows]).astype(np.int64)
         start = np.flatnonzero(np.concatenate([[True], np.diff(second) > 0]))
         count = np.diff(np.append(start, len(rows)))[:, None]
@@ -166,8 +169,11 @@ def _contradicts(table: ChannelTable, rate: Floats) -> bool:
         # A fault that lasts is in the changes from second to second only where it begins and ends.
         for motion in (means, np.diff(means, axis=0)):
             moving = np.linalg.norm(motion[:, :3], axis=1)
+            told = np.linalg.norm(motion[:, 3:], axis=1)
             apart = np.linalg.norm(motion[:, 3:] - motion[:, :3], axis=1)
-            lively = moving > LEAST_MOTION_RAD_S
+            # Turned otherwise, it turns as fast. Where it does not, either may have failed.
+            alike = (moving < 2.0 * told) & (told < 2.0 * moving)
+            lively = alike & (moving > LEAST_MOTION_RAD_S)
             if lively.sum() >= FEWEST_LIVELY:
                 shares.append(float(np.median(apart[lively] / moving[lively])))
     return bool(shares) and min(shares) > FOLLOWED
@@ -213,7 +219,7 @@ def _placed(stream: Stream, zero_ns: int) -> Attitude | None:
     return Attitude(time_s=time_s, quaternion=q[known], sound=sound)
 
 
-def _triads(table: ChannelTable) -> list[tuple[NDArray[np.intp], Floats]]:
+def triads(table: ChannelTable) -> list[tuple[NDArray[np.intp], Floats]]:
     """Return rows (n,) and body rates (n, 3) of every source that senses all three axes."""
     found = []
     for source in dict.fromkeys(channel.source for channel in table.channels):
@@ -236,7 +242,7 @@ def _aligned(
     steps = np.diff(attitude.time_s)
     middle = attitude.time_s[:-1] + steps / 2
     rate = turn / steps[:, None]
-    for rows, gyro in _triads(table):
+    for rows, gyro in triads(table):
         clock = estimate_offset(
             SOURCE,
             (table.time_s[rows], gyro),
@@ -254,13 +260,15 @@ def _without_jumps(attitude: Attitude, table: ChannelTable) -> Attitude:
     """Mark steps in which the attitude jumps away from what every gyro says."""
     turn = rotation_vectors(attitude.quaternion)
     apart = np.full(len(turn), np.inf)
-    for rows, rate in _triads(table):
+    for rows, rate in triads(table):
         time_s = table.time_s[rows]
         steps = np.diff(time_s)
         path = np.zeros((len(time_s), 3))
         np.cumsum((rate[1:] + rate[:-1]) / 2 * steps[:, None], axis=0, out=path[1:])
         turned = np.column_stack([np.interp(attitude.time_s, time_s, p) for p in path.T])
-        apart = np.minimum(apart, np.linalg.norm(turn - np.diff(turned, axis=0), axis=1))
+        further = turn - np.diff(turned, axis=0)
+        further -= _running_median(further, BESIDE)
+        apart = np.minimum(apart, np.linalg.norm(further, axis=1))
     if not bool(np.isfinite(apart).all()):
         return attitude
     usual = float(np.median(apart[attitude.sound])) if attitude.sound.any() else 0.0
@@ -270,3 +278,10 @@ def _without_jumps(attitude: Attitude, table: ChannelTable) -> Attitude:
     for start, stop in edges.reshape(-1, 2):
         jump[start:stop] = stop - start <= LONGEST_JUMP
     return replace(attitude, sound=attitude.sound & ~jump)
+
+
+def _running_median(values: Floats, reach: int) -> Floats:
+    """Median of the rows (n, k) from so many before to so many after each one."""
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+    return np.asarray(np.median(around, axis=2))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.recording import Problem, Recording, Stream
+from fdilog_readers import reported
 from fdilog_readers.columns import Offsets, choose_time, plain_text
 from fdilog_readers.dataflash_batches import BLOCK, HEADER, batch_streams
 from fdilog_readers.dataflash_layout import FIELDS, Layout, is_number
@@ -33,6 +34,8 @@ INSTANCE = "I"
 GYRO_NAME = re.compile(r"(IMU|GYR)(\d?)(?:\[(\d+)\])?")
 GYRO_AXES = ("GyrX", "GyrY", "GyrZ")
 ACCELEROMETER_AXES = ("AccX", "AccY", "AccZ")
+COMPASS_AXES = ("MagX", "MagY", "MagZ")
+SPEED, COURSE, FIX = GROUND = ("Spd", "GCrs", "Status")
 ANGLES = ("DesRoll", "Roll", "DesPitch", "Pitch", "DesYaw", "Yaw")
 SENSOR_UNITS = {
     **dict.fromkeys(GYRO_AXES, "rad/s"),
@@ -179,6 +182,17 @@ def _stream(name: str, table: Table, told: Mapping[tuple[str, str], str]) -> Str
     units = {f: told[message, f] for f in columns if (message, f) in told}
     gyro: tuple[str, ...] = ()
     accelerometer: tuple[str, ...] = ()
+    compass = _all_numeric(COMPASS_AXES, columns) if message == "MAG" else ()
+    velocity: tuple[str, ...] = ()
+    first = _of_first_instance(columns)
+    if compass and not first.all():
+        own = {f"{f} of the first": np.where(first, columns[f], np.nan) for f in compass}
+        columns, compass = columns | own, tuple(own)
+    if message == "GPS" and _all_numeric(GROUND, columns):
+        fixed = first & (columns[FIX] >= reported.FIX_3D)
+        columns |= reported.velocity(columns[SPEED], np.radians(columns[COURSE]), fixed)
+        velocity = reported.VELOCITY
+        units |= dict.fromkeys(velocity, "m/s")
     sensor = None
     known = GYRO_NAME.fullmatch(name)
     if known:
@@ -199,10 +213,20 @@ def _stream(name: str, table: Table, told: Mapping[tuple[str, str], str]) -> Str
         clock=table.clock,
         gyro=gyro,
         accelerometer=accelerometer,
+        compass=compass,
+        velocity=velocity,
         sensor=sensor,
         origin="derived" if name == "ATT" else "sensor",
         offsets=table.offsets,
     )
+
+
+def _of_first_instance(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """Tell which records of a message are of the first sensor of its kind."""
+    instance = columns.get(INSTANCE)
+    if instance is not None and is_number(instance) and len(instance):
+        return np.asarray(instance == instance.min(), np.bool_)
+    return np.ones(len(next(iter(columns.values()), ())), bool)
 
 
 def _all_numeric(names: tuple[str, ...], columns: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fdilog.recording import Problem, Recording, Stream
+from fdilog_readers import reported
 from fdilog_readers.mavlink_dialect import (
     CHECKSUM_BYTES,
     HEADER_V1,
@@ -47,9 +48,12 @@ suffixes = (".tlog", ".mavlink", ".mav", ".raw")
 description = "MAVLink telemetry log"
 
 FACTS = ("HEARTBEAT", "SYSTEM_TIME", "AUTOPILOT_VERSION")
-LOADED = (*SENSORS, "ATTITUDE", "ATTITUDE_QUATERNION", "SERVO_OUTPUT_RAW")
+GPS = "GPS_RAW_INT"
+LOADED = (*SENSORS, "ATTITUDE", "ATTITUDE_QUATERNION", "SERVO_OUTPUT_RAW", GPS)
 GYRO_AXES = ("xgyro", "ygyro", "zgyro")
 ACCELEROMETER_AXES = ("xacc", "yacc", "zacc")
+COMPASS_AXES = ("xmag", "ymag", "zmag")
+SPEED, COURSE, FIX = GROUND = ("vel", "cog", "fix_type")
 FILTERED_RATES = ("rollspeed", "pitchspeed", "yawspeed")
 QUATERNION = {"q1": "qw", "q2": "qx", "q3": "qy", "q4": "qz"}
 # The protocol's unit: SI unit, factor, divisor. Whole numbers are divided, not multiplied by a
@@ -62,6 +66,8 @@ SI = {
     "gauss": ("T", 1.0, 1e4),
     "cdegC": ("degC", 1.0, 1e2),
 }
+# What GPS_RAW_INT says for a speed or a course that it does not know.
+UNKNOWN = 65535
 ARDUPILOT = 3
 FEWEST_LINKED = 4
 RESTART_NS = 1_000_000_000
@@ -184,6 +190,8 @@ def _stream(messages: Messages, name: str) -> Stream:
     """Make a stream of what the protocol tells the meaning of."""
     stream = _as_sent(messages, name)
     columns, units = dict(stream.columns), dict(stream.units)
+    if messages.kind == GPS and {*GROUND} <= columns.keys():
+        return _with_velocity(stream)
     if messages.sensor is None:
         rates = FILTERED_RATES if {*FILTERED_RATES} <= columns.keys() else ()
         columns |= {also: columns[f] for f, also in QUATERNION.items() if f in columns}
@@ -206,7 +214,21 @@ def _stream(messages: Messages, name: str) -> Stream:
         units=units,
         gyro=GYRO_AXES,
         accelerometer=ACCELEROMETER_AXES,
+        compass=COMPASS_AXES if {*COMPASS_AXES} <= columns.keys() else (),
         sensor=messages.sensor,
+    )
+
+
+def _with_velocity(stream: Stream) -> Stream:
+    """Add the velocity to what GPS says in cm/s and hundredths of a degree."""
+    speed, course, fix = (stream.columns[f] for f in GROUND)
+    known = (fix >= reported.FIX_3D) & (speed != UNKNOWN) & (course != UNKNOWN)
+    told = reported.velocity(speed / 100.0, np.radians(course / 100.0), known)
+    return replace(
+        stream,
+        columns={**stream.columns, **told},
+        units={**stream.units, **dict.fromkeys(told, "m/s")},
+        velocity=reported.VELOCITY,
     )
 
 

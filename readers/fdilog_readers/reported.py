@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+VELOCITY = ("velocity_north", "velocity_east")
+# Of all these formats' numbers of a fix, from this one on a velocity is known in three dimensions.
+FIX_3D = 3
 # Who does not know UTC says zero, or counts from 1970; none of these formats is older than this.
 YEAR_2000_NS = 946_684_800 * 10**9
 
@@ -25,6 +30,21 @@ def spans(
     if len(ends) % 2:
         ends.append(max(last_ns, ends[-1]))
     return tuple(zip(ends[::2], ends[1::2], strict=True))
+
+
+def velocity(
+    speed_m_s: NDArray[Any], course_rad: NDArray[Any], fix: NDArray[np.bool_]
+) -> dict[str, NDArray[np.float64]]:
+    """Velocity over ground as columns, not-a-number without a fix. [m/s]
+
+    Parameters
+    ----------
+    speed_m_s, course_rad, fix : (n,)
+        Speed over ground [m/s], course from north to east [rad], and whether they are known.
+    """
+    speed = np.where(fix, speed_m_s, np.nan).astype(np.float64)
+    north, east = VELOCITY
+    return {north: speed * np.cos(course_rad), east: speed * np.sin(course_rad)}
 
 
 def utc_at_zero(utc_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> int | None:

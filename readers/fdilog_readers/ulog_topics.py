@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.recording import Stream
+from fdilog_readers import reported
 from fdilog_readers.columns import Offsets, choose_time, plain_text
 from fdilog_readers.ulog_layout import Value
 
@@ -24,7 +25,12 @@ SELECTED = {
     "vehicle_angular_velocity": ("xyz", ""),
 }
 ATTITUDE = "vehicle_attitude"
-LOADED = (*GYROS, ACCELEROMETER, *SELECTED, ATTITUDE)
+# Turned into the vehicle's axes by the autopilot; older versions log it beside the gyro.
+COMPASSES = ("vehicle_magnetometer", "sensor_combined")
+COMPASS_FIELDS = tuple(f"magnetometer_ga[{k}]" for k in range(3))
+GPS = "vehicle_gps_position"
+NORTH, EAST, FIX = GROUND = ("vel_n_m_s", "vel_e_m_s", "fix_type")
+LOADED = (*GYROS, ACCELEROMETER, *SELECTED, ATTITUDE, "vehicle_magnetometer", GPS)
 QUATERNION = {"q[0]": "qw", "q[1]": "qx", "q[2]": "qy", "q[3]": "qz"}
 AXES = ("x", "y", "z")
 RATES = ("gyro_x", "gyro_y", "gyro_z")
@@ -101,6 +107,12 @@ def stream(table: Table, name: str, sensor: int | None) -> Stream:
     units: dict[str, str] = {}
     gyro: tuple[str, ...] = ()
     forces: tuple[str, ...] = ()
+    velocity: tuple[str, ...] = ()
+    if table.name == GPS and _all(columns, GROUND):
+        fixed, velocity = columns[FIX] >= reported.FIX_3D, reported.VELOCITY
+        for name_of_it, f in zip(velocity, (NORTH, EAST), strict=True):
+            columns[name_of_it] = np.where(fixed, columns[f], np.nan)
+        units |= dict.fromkeys(velocity, "m/s")
     if table.name == "vehicle_imu":
         gyro = _rates(columns, RATES, "delta_angle")
         forces = _rates(columns, FORCES, "delta_velocity")
@@ -126,6 +138,8 @@ def stream(table: Table, name: str, sensor: int | None) -> Stream:
         clock=clock,
         gyro=gyro,
         accelerometer=forces,
+        compass=_all(columns, COMPASS_FIELDS) if table.name in COMPASSES else (),
+        velocity=velocity,
         sensor=sensor if table.name in (*GYROS, ACCELEROMETER) else None,
         origin="selected"
         if table.name in SELECTED

@@ -115,7 +115,7 @@ def with_compass(recording: Recording, reading: Callable[[Floats], Floats]) -> R
     r = matrices(interpolated(attitude.time_ns / 1e9, q, time_ns / 1e9))
     field = reading(np.round(np.array([200.0, 20.0, 400.0]) @ r))
     columns = dict(zip(("MagX", "MagY", "MagZ"), field.T, strict=True))
-    compass = Stream(name="MAG", time_ns=time_ns, columns=columns)
+    compass = Stream(name="MAG", time_ns=time_ns, columns=columns, compass=tuple(columns))
     return replace(recording, streams=(*recording.streams, compass))
 
 
