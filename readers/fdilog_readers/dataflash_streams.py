@@ -190,7 +190,7 @@ def _stream(name: str, table: Table, told: Mapping[tuple[str, str], str]) -> Str
         columns, compass = columns | own, tuple(own)
     if message == "GPS" and _all_numeric(GROUND, columns):
         fixed = first & (columns[FIX] >= reported.FIX_3D)
-        columns |= reported.velocity(columns[SPEED], np.radians(columns[COURSE]), fixed)
+        columns |= reported.velocity(columns[SPEED], columns[COURSE], fixed)
         velocity = reported.VELOCITY
         units |= dict.fromkeys(velocity, "m/s")
     sensor = None

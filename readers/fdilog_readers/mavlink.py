@@ -223,7 +223,7 @@ def _with_velocity(stream: Stream) -> Stream:
     """Add the velocity to what GPS says in cm/s and hundredths of a degree."""
     speed, course, fix = (stream.columns[f] for f in GROUND)
     known = (fix >= reported.FIX_3D) & (speed != UNKNOWN) & (course != UNKNOWN)
-    told = reported.velocity(speed / 100.0, np.radians(course / 100.0), known)
+    told = reported.velocity(speed / 100.0, course / 100.0, known)
     return replace(
         stream,
         columns={**stream.columns, **told},

@@ -33,18 +33,19 @@ def spans(
 
 
 def velocity(
-    speed_m_s: NDArray[Any], course_rad: NDArray[Any], fix: NDArray[np.bool_]
+    speed_m_s: NDArray[Any], course_deg: NDArray[Any], fix: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.float64]]:
     """Velocity over ground as columns, not-a-number without a fix. [m/s]
 
     Parameters
     ----------
-    speed_m_s, course_rad, fix : (n,)
-        Speed over ground [m/s], course from north to east [rad], and whether they are known.
+    speed_m_s, course_deg, fix : (n,)
+        Speed over ground [m/s], course from north to east [deg], and whether they are known.
     """
     speed = np.where(fix, speed_m_s, np.nan).astype(np.float64)
+    course = np.radians(course_deg.astype(np.float64))
     north, east = VELOCITY
-    return {north: speed * np.cos(course_rad), east: speed * np.sin(course_rad)}
+    return {north: speed * np.cos(course), east: speed * np.sin(course)}
 
 
 def utc_at_zero(utc_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> int | None:

@@ -95,3 +95,24 @@ def test_the_attitude_of_a_rover_at_rest_that_tumbles_is_lost(real_logs: Path) -
     assert not about.used
     assert "lost" in about.reason
     assert analysis.verdict == "insufficient"
+
+
+@pytest.mark.parametrize("size_deg_s", [3.0, 50.0])
+@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("log", ["ulog/quad_250hz.ulg", "tlog/sub_zero_imu2.tlog"])
+def test_vehicles_of_one_imu_and_a_compass_are_held_against_their_attitude(
+    real_logs: Path, log: str, axis: str, size_deg_s: float
+) -> None:
+    fault = Fault(
+        kind="bias",
+        channel=f"imu0.{axis}",
+        start_s=20.0,
+        end_s=50.0,
+        size=float(np.radians(size_deg_s)),
+    )
+    recording = recorded(real_logs / log)
+    assert analyse_recording(recording, CONFIG).findings == ()
+    (finding,) = analyse_recording(inject(recording, [fault]).recording, CONFIG).findings
+    assert (finding.kind, finding.suspects, finding.witness) == ("bias", (fault.channel,), "att")
+    assert finding.size is not None
+    assert finding.size.estimate == pytest.approx(fault.size, abs=np.radians(1.0))

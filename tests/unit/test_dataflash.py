@@ -490,3 +490,23 @@ def test_formats_alone_are_a_log_without_records(path: Path) -> None:
     recording = read(path, HEAD[:200])
     assert [(s.name, s.count) for s in recording.streams] == [("FMT", 2)]
     assert [(p.offset, p.bytes_lost) for p in notes(recording)] == [(178, 22)]
+
+
+def test_the_first_compass_and_the_velocity_of_the_first_gps_are_told(path: Path) -> None:
+    head = fmt(140, "MAG", "QBhhh", "TimeUS,I,MagX,MagY,MagZ")
+    head += fmt(141, "GPS", "QBBff", "TimeUS,I,Status,Spd,GCrs")
+    mag = [record(140, "QBhhh", 10_000, k, 100 + k, 20, 400) for k in range(2)]
+    gps = [
+        record(141, "QBBff", 10_000 * k, instance, status, 5.0, 90.0)
+        for k, (instance, status) in enumerate([(0, 3), (1, 3), (0, 1)])
+    ]
+    recording = read(path, WHOLE, head, *mag, *gps)
+    compass = stream(recording, "MAG")
+    x, y, z = (compass.columns[f] for f in compass.compass)
+    assert (x[0], y[0], z[0]) == (100.0, 20.0, 400.0)
+    assert np.isnan([x[1], y[1], z[1]]).all()
+    assert compass.columns["MagX"].tolist() == [100, 101]
+    ground = stream(recording, "GPS")
+    north, east = (ground.columns[f] for f in ground.velocity)
+    assert (north[0], east[0]) == pytest.approx((0.0, 5.0))
+    assert np.isnan([north[1:], east[1:]]).all()  # of another GPS; no fix

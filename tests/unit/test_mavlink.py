@@ -416,3 +416,20 @@ def test_a_log_without_gyros_is_read_and_says_so(tmp_path: Path) -> None:
     assert [(s.name, s.count) for s in recording.streams] == [("HEARTBEAT", 5)]
     with pytest.raises(NoGyroError, match="HEARTBEAT"):
         choose(recording, Config())
+
+
+def test_the_compass_and_the_velocity_of_gps_are_told(tmp_path: Path) -> None:
+    def gps(now_us: int, fix: int, speed_cm_s: int, course_cdeg: int) -> bytes:
+        told = (100, 200, speed_cm_s, course_cdeg, 9)
+        return packet(protocol.MAVLink_gps_raw_int_message(now_us, fix, 0, 0, 0, *told))
+
+    packets = [packet(heartbeat()), packet(raw_imu(60_000_000, 1, 2, 3))]
+    packets += [gps(60_000_000, 3, 500, 9000), gps(60_200_000, 2, 500, 9000)]
+    packets += [gps(60_400_000, 3, 65535, 9000)]
+    recording = mavlink.read(log(tmp_path, stamped(packets)))
+    imu = stream(recording, "RAW_IMU")
+    assert [imu.columns[f].tolist() for f in imu.compass] == [[1e-7], [2e-7], [3e-7]]  # milligauss
+    ground = stream(recording, "GPS_RAW_INT")
+    north, east = (ground.columns[f] for f in ground.velocity)
+    assert (north[0], east[0]) == pytest.approx((0.0, 5.0))
+    assert np.isnan([north[1:], east[1:]]).all()  # no fix in three dimensions; no speed

@@ -412,3 +412,26 @@ def test_a_value_of_odd_type_does_no_harm(tmp_path: Path) -> None:
     recording = ulog.read(file(tmp_path, log(None, first)))
     assert stream(recording, "sensor_gyro[0]").count == 200
     assert said(recording, "a record of type F that cannot be read")
+
+
+def test_the_compass_and_the_velocity_of_gps_are_told(tmp_path: Path) -> None:
+    magnetometer, gps = 7, 8
+    extra = [
+        record("F", b"vehicle_magnetometer:uint64_t timestamp;float[3] magnetometer_ga;"),
+        record(
+            "F",
+            b"vehicle_gps_position:uint64_t timestamp;float vel_n_m_s;float vel_e_m_s;"
+            b"uint8_t fix_type;",
+        ),
+        subscription(magnetometer, "vehicle_magnetometer"),
+        subscription(gps, "vehicle_gps_position"),
+    ]
+    records = [data(magnetometer, "Q3f", 10**6, 0.25, 0.0, 0.5)]
+    records += [data(gps, "QffB", 10**6, 3.0, -4.0, 3), data(gps, "QffB", 2 * 10**6, 3.0, -4.0, 2)]
+    recording = ulog.read(file(tmp_path, log(records, definitions() + extra)))
+    compass = stream(recording, "vehicle_magnetometer")
+    assert [compass.columns[f].tolist() for f in compass.compass] == [[0.25], [0.0], [0.5]]
+    ground = stream(recording, "vehicle_gps_position")
+    north, east = (ground.columns[f] for f in ground.velocity)
+    assert (north[0], east[0]) == (3.0, -4.0)
+    assert np.isnan([north[1], east[1]]).all()  # no fix in three dimensions

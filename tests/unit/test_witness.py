@@ -18,6 +18,7 @@ from fdilog.experiments.flight import Flight
 from fdilog.experiments.simulate import simulate
 from fdilog.finding import Finding
 from fdilog.recording import Recording, Stream
+from fdilog.sources.anchors import Anchors
 from fdilog.sources.assembly import assemble
 from fdilog.sources.attitude import from_euler, interpolated, logged_attitude, matrices, product
 
@@ -331,3 +332,56 @@ def test_the_attitude_of_another_body_is_not_used() -> None:
         (about,) = [info for info in infos if info.name == "att"]
         assert about.used == used
         assert used or "contradicts" in about.reason
+
+
+@pytest.mark.parametrize("size_deg_s", [20.0, 50.0, -300.0])
+def test_a_gyro_that_is_off_by_more_than_it_turns_does_not_make_the_attitude_another_bodys(
+    size_deg_s: float,
+) -> None:
+    finding = only(analysed(flown(1, "imu0.x", size_deg_s).recording()))
+    assert (finding.kind, finding.suspects, finding.witness) == ("bias", ("imu0.x",), "att")
+    assert finding.start_s == pytest.approx(START_S, abs=0.2)
+    assert finding.end_s == pytest.approx(END_S, abs=0.2)
+
+
+def test_a_fault_of_seconds_is_held_against_gravity_before_and_after() -> None:
+    fault = Fault(kind="bias", channel="imu0.y", start_s=30.0, end_s=33.0, size=10.0 * DEG)
+    finding = only(analysed(simulate(90.0, 25.0, sources=1, faults=[fault], seed=3).recording()))
+    assert (finding.suspects, finding.witness) == (("imu0.y",), "att")
+    assert (finding.start_s, finding.end_s) == pytest.approx((30.0, 33.0), abs=0.2)
+
+
+@pytest.mark.parametrize("seed", range(3, 9))
+def test_an_attitude_that_stands_still_from_some_moment_on_accuses_nobody(seed: int) -> None:
+    def frozen(stream: Stream) -> Stream:
+        rows = np.minimum(np.arange(len(stream.time_ns)), len(stream.time_ns) // 2)
+        columns = {name: column[rows] for name, column in stream.columns.items()}
+        return replace(stream, columns=columns)
+
+    flight = simulate(90.0, 25.0, sources=1, seed=seed)
+    assert analysed(with_attitude(flight.recording(), frozen)).findings == ()
+
+
+def test_what_gravity_does_not_show_leaves_the_axis_in_question_known() -> None:
+    # At rest, nose up by 30 degrees: half a turn about x is a turn of the heading.
+    r = matrices(from_euler(np.array([[0.0, np.radians(30.0), 0.0]])))[0]
+    time_s = np.arange(0.25, 60.0, 0.5)
+    down = np.tile([0.0, 0.0, -1.0], (len(time_s), 1))
+    anchors = Anchors(
+        time_s=time_s,
+        segment=np.zeros(len(time_s), np.int64),
+        turned=time_s[:, None, None] * r,
+        force=down + np.random.default_rng(1).normal(0.0, 0.01, down.shape),
+        expected=down,
+        compass=np.full_like(down, np.nan),
+        by_gps=False,
+        healthy_rad_s=DEG / 3.0,
+    )
+    x = np.array([1.0, 0.0, 0.0])
+    of_any = anchors.drift(15.0, 45.0, 0.99)
+    of_x = anchors.drift(15.0, 45.0, 0.99, axis=(x, DEG / 3.0))
+    assert of_any is not None
+    assert of_x is not None
+    assert of_any.half_width(x) > 5.0 * DEG
+    assert of_x.half_width(x) < 1.0 * DEG
+    assert abs(float(x @ of_x.error_rad_s)) < of_x.half_width(x)
