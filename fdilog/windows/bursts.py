@@ -81,7 +81,7 @@ def burst_windows(table: ChannelTable, config: Config) -> Windows | None:
     longest = 3 * blocks[-1]
     found = {
         (moment.start, moment.stop)
-        for error in _errors(table)
+        for error in _errors(table, derived=True)
         for moment in error.moments(blocks, (FEWEST_READINGS, longest), config)
     }
     if not found:
@@ -99,17 +99,23 @@ def short_moments(table: ChannelTable, config: Config) -> list[Moment]:
         return []
     most = min(FEWEST_READINGS - 1, int(MANOEUVRE_S / table.period_s))
     within = (min(SHORT_BLOCKS), most)
-    return [one for error in _errors(table) for one in error.moments(SHORT_BLOCKS, within, config)]
+    errors = _errors(table, derived=False)
+    return [one for error in errors for one in error.moments(SHORT_BLOCKS, within, config)]
 
 
-def _errors(table: ChannelTable) -> Iterator[_Error]:
-    """Hold every gyro that others can be held against to them."""
+def _errors(table: ChannelTable, *, derived: bool) -> Iterator[_Error]:
+    """Hold every gyro that others can be held against to them, to derived channels as well or not.
+
+    An attitude is too slow and too smooth for errors of a few readings.
+    """
     if not table.period_s or FEWEST_READINGS * table.period_s > LONGEST_S:
         return
     rows = leave_one_out(table.axes, sigma=usual(table).sigma)
     for channel, row in enumerate(rows):
         needed = np.flatnonzero(row != 0.0)
-        if np.isfinite(row).all() and not any(table.channels[k].derived for k in needed):
+        if table.channels[channel].derived or not np.isfinite(row).all():
+            continue
+        if derived or not any(table.channels[k].derived for k in needed):
             yield _Error.of(table, channel, row)
 
 
