@@ -81,13 +81,20 @@ def well_formed(recording: Recording, path: Path) -> None:
 
 def _gyro_is_well_formed(recording: Recording, number: int) -> None:
     stream = recording.streams[number]
-    for unit, fields in (("rad/s", stream.gyro), ("m/s^2", stream.accelerometer)):
+    for unit, fields in (
+        ("rad/s", stream.gyro),
+        ("m/s^2", stream.accelerometer),
+        ("m/s", stream.velocity),
+        ("", stream.compass),
+    ):
         for field in fields:
             told = stream.units.get(field)
             require(field in stream.columns, f"{stream.name}: no column for its {field}")
-            require(told == unit, f"{stream.name}.{field} is in {told}, not in {unit}")
+            require(unit in ("", told), f"{stream.name}.{field} is in {told}, not in {unit}")
             kind = stream.columns[field].dtype.kind
             require(kind in "fiu", f"{stream.name}.{field} is no number but of kind {kind}")
+    require(len(stream.compass) in (0, 3), f"{stream.name}: a compass of other than three axes")
+    require(len(stream.velocity) in (0, 2), f"{stream.name}: a velocity not to north and east")
     if stream.channel_names:
         require(
             len(stream.channel_names) == len(stream.gyro),
