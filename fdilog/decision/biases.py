@@ -25,6 +25,8 @@ from fdilog.windows.usual import usual
 
 # A second whose noise has less than twice the usual spread is quiet.
 QUIET = 0.25
+# Where noise hides the sign, begin and end are known to an eighth of the span, not better.
+EDGE = 8
 Hearing = Callable[[Sequence[int], tuple[int, int]], Statement]
 """Asks the witness which of some gyros was off over a span of samples."""
 
@@ -224,17 +226,27 @@ def _size(table: ChannelTable, fault: Fault, config: Config) -> Size | None:
     """Mean error of the first suspect over the span, with its Student interval.
 
     Where hard vibration in a part of the span leaves not even the sign known, the longest stretch
-    without it is measured.
+    without it is measured, or what is left of the span if it began later and ended earlier.
     """
     size = _mean_error(table, fault, config)
-    if size is None or size.low > 0.0 or size.high < 0.0:
+    if size is None or _signed(size):
         return size
     trace = trace_of(table, min(fault.suspects), fault.removed, fault.start, fault.stop)
     if trace is None:
         return size
-    first, last = _longest(trace.weight() > QUIET)
-    quiet = replace(fault.shape, start=int(trace.rows[first]), stop=int(trace.rows[last - 1]) + 1)
-    return _mean_error(table, replace(fault, shape=quiet), config) or size
+    n, edge = len(trace.rows), len(trace.rows) // EDGE
+    known = []
+    for first, last in (_longest(trace.weight() > QUIET), (edge, n - edge)):
+        start, stop = int(trace.rows[first]), int(trace.rows[last - 1]) + 1
+        part = replace(fault, shape=replace(fault.shape, start=start, stop=stop))
+        measured = _mean_error(table, part, config)
+        known += [] if measured is None else [measured]
+    return next((one for one in known if _signed(one)), known[0] if known else size)
+
+
+def _signed(size: Size) -> bool:
+    """Whether an interval tells at least on which side of zero a size lies."""
+    return size.low > 0.0 or size.high < 0.0
 
 
 def _longest(these: NDArray[np.bool_]) -> tuple[int, int]:

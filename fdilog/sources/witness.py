@@ -267,21 +267,17 @@ def _without_jumps(attitude: Attitude, table: ChannelTable) -> Attitude:
         np.cumsum((rate[1:] + rate[:-1]) / 2 * steps[:, None], axis=0, out=path[1:])
         turned = np.column_stack([np.interp(attitude.time_s, time_s, p) for p in path.T])
         further = turn - np.diff(turned, axis=0)
-        further -= _running_median(further, BESIDE)
+        far = np.flatnonzero(np.linalg.norm(further, axis=1) > JUMP_RAD)
+        around = np.pad(further, ((BESIDE, BESIDE), (0, 0)), mode="edge")
+        beside = around[far[:, None] + np.arange(2 * BESIDE + 1)]
+        further[far] -= np.median(beside, axis=1)
         apart = np.minimum(apart, np.linalg.norm(further, axis=1))
     if not bool(np.isfinite(apart).all()):
         return attitude
     usual = float(np.median(apart[attitude.sound])) if attitude.sound.any() else 0.0
-    far = attitude.sound & (apart > max(JUMP_RAD, JUMP_SIGMAS * usual))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
-    jump = np.zeros(len(far), bool)
+    steps_away = attitude.sound & (apart > max(JUMP_RAD, JUMP_SIGMAS * usual))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], steps_away.astype(np.int8), [0]])))
+    jump = np.zeros(len(apart), bool)
     for start, stop in edges.reshape(-1, 2):
         jump[start:stop] = stop - start <= LONGEST_JUMP
     return replace(attitude, sound=attitude.sound & ~jump)
-
-
-def _running_median(values: Floats, reach: int) -> Floats:
-    """Median of the rows (n, k) from so many before to so many after each one."""
-    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
-    return np.asarray(np.median(around, axis=2))
