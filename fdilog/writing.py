@@ -18,6 +18,7 @@ from fdilog.experiments.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
 from fdilog.sources.assembly import choose, physical_streams
+from fdilog.sources.attitude import logged_attitude
 
 
 class Writer(Protocol):
@@ -93,15 +94,19 @@ def _anew(injection: Injection, path: Path) -> Recording:
     """Leave out every gyro stream that an analysis of the log itself would not use.
 
     The fault may have left the changed stream with less to say than another one of its sensor, or
-    unlike a twin that is the same sensor logged twice: these do not hold the fault.
+    unlike a twin that is the same sensor logged twice: these do not hold the fault. Of rates that
+    the autopilot logs with its attitude, the attitude stays.
     """
     changes = injection.changes
     changed = {change.stream.name for change in changes}
     used = changed | physical_streams(injection.original, Config())
     streams = [
-        s
+        s if s.name in used or s.origin == "derived" else replace(s, gyro=())
         for s in injection.recording.streams
-        if not s.gyro or s.origin == "derived" or s.name in used
+        if not s.gyro
+        or s.origin == "derived"
+        or s.name in used
+        or logged_attitude(s.columns) is not None
     ]
     copy = replace(injection.recording, streams=tuple(streams))
     held = {gyro.stream.name for gyro in choose(copy, Config())[0]}

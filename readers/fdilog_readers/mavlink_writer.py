@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
 from fdilog.sources.assembly import Gyro
+from fdilog_readers import reported
 from fdilog_readers.mavlink_dialect import CHECKSUM_BYTES, HEADER_V2, V2, checksums, dialect
 from fdilog_readers.triads import numbered_triads
 
@@ -22,6 +23,7 @@ Times = NDArray[np.int64]
 STAMP_BYTES = 8
 SYSTEM, COMPONENT = 1, 1
 STANDARD_GRAVITY_M_S2 = 9.80665
+MILLIGAUSS_PER_TESLA = 1e7
 HEARTBEAT_NS = 1_000_000_000
 QUADROTOR, ARDUPILOT, ARMED, ACTIVE, STANDBY, PROTOCOL = 2, 3, 128, 4, 3, 3
 ANGLES = ("roll", "pitch", "yaw")
@@ -50,7 +52,7 @@ class Messages(NamedTuple):
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write the gyros of a recording, its attitude, armed spans and UTC, as a tlog.
+    """Write the gyros of a recording, its attitude, compass, GPS velocity, armed spans and UTC.
 
     The first three sensors go out as ArduPilot sends them (whole millirad/s and milli-g, 16 bits,
     and no message where a reading is no number); if there are others, all as HIGHRES_IMU with its
@@ -74,6 +76,7 @@ def write(recording: Recording, path: Path) -> None:
             raise UsageError(f"{path}: no message of {gyro.name} would be without a missing number")
     sensors = [gyro.stream for gyro in triads.values()]
     sent += [turned for s in recording.streams if (turned := _attitude(s)) is not None]
+    sent += [_ground(s) for s in recording.streams if s.velocity]
     sent += _once_a_second(recording, sensors)
     path.write_bytes(tlog(sent, recording.utc_at_zero_ns or 0))
 
@@ -154,6 +157,9 @@ def _scaled(gyro: Gyro, name: str) -> Messages:
     others: dict[str, NDArray[Any]] = {}
     for axis, column in zip("xyz", stream.accelerometer, strict=False):
         others[f"{axis}acc"] = stream.columns[column] / STANDARD_GRAVITY_M_S2 * 1e3
+    for axis, column in zip("xyz", stream.compass, strict=False):
+        if stream.units.get(column) == "T":
+            others[f"{axis}mag"] = stream.columns[column] * MILLIGAUSS_PER_TESLA
     if "temperature" in stream.columns:
         others["temperature"] = stream.columns["temperature"] * 100
     values = {
@@ -189,6 +195,21 @@ def _attitude(stream: Stream) -> Messages | None:
     else:
         return None
     return messages(name, stream.time_ns, time_boot_ms=stream.time_ns // 1_000_000, **fields)
+
+
+def _ground(stream: Stream) -> Messages:
+    """Write what GPS says of the velocity; where it does not, it has no fix."""
+    north, east = (stream.columns[name] for name in stream.velocity)
+    known = np.isfinite(north) & np.isfinite(east)
+    course_deg = np.degrees(np.arctan2(east, north)) % 360.0
+    return messages(
+        "GPS_RAW_INT",
+        stream.time_ns,
+        time_usec=stream.time_ns // 1000,
+        fix_type=np.where(known, reported.FIX_3D, 0),
+        vel=np.where(known, np.rint(np.hypot(north, east) * 100.0), 0.0),
+        cog=np.where(known, np.rint(course_deg * 100.0) % 36000.0, 0.0),
+    )
 
 
 def _once_a_second(recording: Recording, sensors: list[Stream]) -> list[Messages]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from fdilog.experiments.motion import quaternion
 from fdilog.recording import Recording, Stream
 from fdilog.sources.assembly import Gyro
+from fdilog_readers import reported
 from fdilog_readers.triads import numbered_triads
 from fdilog_readers.ulog_layout import HEADER_BYTES, MAGIC, TYPES
+from fdilog_readers.ulog_topics import COMPASS_FIELDS
 
 suffix = ".ulg"
 
@@ -23,7 +25,8 @@ VERSION = 1
 NO_FLAGS = bytes(40)
 STATUS_NS = 500_000_000
 DISARMED, ARMED = 1, 2
-FIX_3D = 3
+
+GAUSS_PER_TESLA = 1e4
 # What PX4's own simulator calls its devices; the next one is this much further.
 FIRST_DEVICE, DEVICE_STEP = 1_310_988, 8
 STAMPS = "uint64_t timestamp;uint64_t timestamp_sample;"
@@ -35,6 +38,14 @@ ACCELEROMETER = f"sensor_accel:{TRIAD}uint8_t[3] clip_counter;uint8_t samples;ui
 ATTITUDE = (
     f"vehicle_attitude:{STAMPS}float[4] q;float[4] delta_q_reset;uint8_t quat_reset_counter;"
     "uint8_t[7] _padding0;"
+)
+COMPASS = (
+    f"vehicle_magnetometer:{STAMPS}uint32_t device_id;float[3] magnetometer_ga;"
+    "uint8_t calibration_count;uint8_t[7] _padding0;"
+)
+GROUND = (
+    "vehicle_gps_position:uint64_t timestamp;uint64_t time_utc_usec;float vel_n_m_s;"
+    "float vel_e_m_s;uint8_t fix_type;uint8_t[7] _padding0;"
 )
 STATUS = "vehicle_status:uint64_t timestamp;uint8_t arming_state;uint8_t[7] _padding0;"
 GPS = (
@@ -82,7 +93,9 @@ class Topic:
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write the gyros and accelerometers of a recording, its attitude, armed spans and UTC.
+    """Write the gyros and accelerometers of a recording, its attitude, compass and GPS velocity.
+
+    And when it was armed, and UTC.
 
     Stamps are whole microseconds and readings single precision there. Of each sensor the stream
     is written that an analysis would use, as sensor_gyro. A stream with ``qw``, ``qx``, ``qy`` and
@@ -104,6 +117,10 @@ def write(recording: Recording, path: Path) -> None:
             forces = np.column_stack([sensed.columns[name] for name in sensed.accelerometer])
             topics.append(_triad(ACCELEROMETER, number, sensed, forces))
     topics += [topic for s in recording.streams if (topic := _attitude(s)) is not None]
+    compasses = [topic for s in recording.streams if (topic := _compass(s)) is not None]
+    topics += [replace(topic, instance=k) for k, topic in enumerate(compasses)]
+    ground = [s for s in recording.streams if s.velocity]
+    topics += [_ground(stream, recording.utc_at_zero_ns) for stream in ground[:1]]
     topics += _regular(recording, [gyro.stream for gyro in triads.values()])
     info = {"sys_name": "fdilog"} | {
         k: v for k, v in (recording.vehicle or {}).items() if k.isidentifier()
@@ -180,8 +197,37 @@ def _attitude(stream: Stream) -> Topic | None:
     return Topic(ATTITUDE, 0, {"timestamp": time_us, "timestamp_sample": time_us, "q": turned})
 
 
+def _compass(stream: Stream) -> Topic | None:
+    """Write a magnetic field, where it is known in what unit the log has it."""
+    if stream.compass == COMPASS_FIELDS:  # as PX4 logs it
+        per_unit = 1.0
+    elif {stream.units.get(name) for name in stream.compass} == {"T"}:
+        per_unit = GAUSS_PER_TESLA
+    else:
+        return None
+    field = np.column_stack([stream.columns[name] for name in stream.compass]) * per_unit
+    time_us = stream.time_ns // 1000
+    stamps = {"timestamp": time_us, "timestamp_sample": time_us}
+    return Topic(COMPASS, 0, {**stamps, "magnetometer_ga": field})
+
+
+def _ground(stream: Stream, utc_at_zero_ns: int | None) -> Topic:
+    """Write what GPS says of the velocity; where it does not, it has no fix."""
+    north, east = (stream.columns[name] for name in stream.velocity)
+    known = np.isfinite(north) & np.isfinite(east)
+    utc_us = 0 if utc_at_zero_ns is None else (stream.time_ns + utc_at_zero_ns) // 1000
+    fields = {
+        "timestamp": stream.time_ns // 1000,
+        "time_utc_usec": utc_us,
+        "vel_n_m_s": np.where(known, north, 0.0),
+        "vel_e_m_s": np.where(known, east, 0.0),
+        "fix_type": np.where(known, reported.FIX_3D, 0),
+    }
+    return Topic(GROUND, 0, fields)
+
+
 def _regular(recording: Recording, sensors: list[Stream]) -> list[Topic]:
-    """Tell twice a second whether the vehicle is armed, and UTC where it is known."""
+    """Tell twice a second whether the vehicle is armed, and UTC if it is known and GPS is mute."""
     ends = [int(s.time_ns[k]) for s in sensors if len(s.time_ns) for k in (0, -1)]
     if not ends:
         return []
@@ -193,8 +239,12 @@ def _regular(recording: Recording, sensors: list[Stream]) -> list[Topic]:
         armed |= (time_ns >= start) & (time_ns < end)
     state = np.where(armed, ARMED, DISARMED)
     topics = [Topic(STATUS, 0, {"timestamp": time_ns // 1000, "arming_state": state})]
-    if recording.utc_at_zero_ns is not None:
+    if recording.utc_at_zero_ns is not None and not any(s.velocity for s in recording.streams):
         utc_us = (time_ns + recording.utc_at_zero_ns) // 1000
-        fields = {"timestamp": time_ns // 1000, "time_utc_usec": utc_us, "fix_type": FIX_3D}
+        fields = {
+            "timestamp": time_ns // 1000,
+            "time_utc_usec": utc_us,
+            "fix_type": reported.FIX_3D,
+        }
         topics.append(Topic(GPS, 0, fields))
     return topics

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fdilog.analysis import analyse
+from fdilog.config import Config
 from fdilog.experiments.faults import Fault
 from fdilog.experiments.injection import inject
 from fdilog.registry import plugin, read
+from fdilog.writing import write_injected
 
 LOGS = [
     ("quad_2imu_50hz_b.bin", "IMU2", None),
@@ -67,3 +70,16 @@ def test_a_dropout_of_a_real_source_is_a_gap_in_it_alone(real_logs: Path, tmp_pa
     assert len(official(copy, "IMU2", None)) == len(official(log, "IMU2", None)) - removed
     for kind in ("IMU", "ATT", "GPS"):
         assert official(copy, kind, None) == official(log, kind, None)
+
+
+@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("log", ["tlog/sub_zero_imu2.tlog", "ulog/quad_250hz.ulg"])
+def test_a_log_written_anew_keeps_what_its_gyros_are_held_against(
+    real_logs: Path, tmp_path: Path, log: str, axis: str
+) -> None:
+    copy = tmp_path / f"copy{Path(log).suffix}"
+    size = float(np.radians(3.0))
+    bias = Fault(kind="bias", channel=f"imu0.{axis}", start_s=20.0, end_s=50.0, size=size)
+    write_injected(inject(read(real_logs / log), [bias]), real_logs / log, copy)
+    (finding,) = analyse(copy, Config().replace("detectors", use=("parity",))).findings
+    assert (finding.kind, finding.suspects, finding.witness) == ("bias", (bias.channel,), "att")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.experiments.simulate import simulate
-from fdilog.recording import Recording
+from fdilog.recording import Recording, Stream
 from fdilog.sources.assembly import choose
 from fdilog_readers import mavlink, mavlink_writer
 from tests.mavlink_oracle import official
@@ -99,3 +100,31 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one", "two"):
         mavlink_writer.write(recorded(3), tmp_path / name)
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+def test_compass_and_velocity_are_read_back(tmp_path: Path) -> None:
+    recording = recorded(1)
+    imu, *others = recording.streams
+    field = {
+        f"m{axis}": np.linspace(-k * 1e-5, 3e-5, len(imu.time_ns)) for k, axis in enumerate("xyz")
+    }
+    imu = replace(
+        imu,
+        columns={**imu.columns, **field},
+        units={**imu.units, **dict.fromkeys(field, "T")},
+        compass=tuple(field),
+    )
+    time_ns = np.arange(0, 8 * 10**9, 2 * 10**8)
+    ground = {"north": np.linspace(-3.0, 3.0, len(time_ns)), "east": np.full(len(time_ns), -1.5)}
+    ground["north"][7] = np.nan
+    gps = Stream(name="gps", time_ns=time_ns, columns=ground, velocity=("north", "east"))
+    mavlink_writer.write(replace(recording, streams=(imu, *others, gps)), tmp_path / "flight.tlog")
+    again = mavlink.read(tmp_path / "flight.tlog")
+    (seen,) = [s for s in again.streams if s.compass]
+    for theirs, ours in zip(seen.compass, field.values(), strict=True):
+        np.testing.assert_allclose(seen.columns[theirs], ours, atol=0.5e-7)  # milligauss
+    (moving,) = [s for s in again.streams if s.velocity]
+    known = np.arange(len(time_ns)) != 7
+    for theirs, ours in zip(moving.velocity, ground.values(), strict=True):
+        np.testing.assert_allclose(moving.columns[theirs][known], ours[known], atol=0.006)
+        assert np.isnan(moving.columns[theirs][7])

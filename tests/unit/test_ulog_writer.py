@@ -13,7 +13,7 @@ from fdilog.errors import NoGyroError, UsageError
 from fdilog.experiments.faults import Fault
 from fdilog.experiments.injection import inject
 from fdilog.experiments.simulate import simulate
-from fdilog.recording import Recording
+from fdilog.recording import Recording, Stream
 from fdilog.registry import read
 from fdilog.sources.assembly import choose
 from fdilog.writing import write, write_injected
@@ -211,3 +211,31 @@ def test_a_fault_that_no_gyro_of_the_copy_would_hold_is_refused(tmp_path: Path) 
     with pytest.raises(UsageError, match="would not hold imu1, where the fault is"):
         write_injected(injection, tmp_path / "flight.csv", tmp_path / "copy.ulg")
     assert not (tmp_path / "copy.ulg").exists()
+
+
+def test_compass_and_velocity_are_read_back(tmp_path: Path) -> None:
+    recording = recorded(1)
+    time_ns = np.arange(0, 8 * 10**9, 2 * 10**8)
+    field = {
+        axis: np.linspace(start, 5e-5, len(time_ns))
+        for axis, start in zip("xyz", (1e-5, 2e-5, 3e-5), strict=True)
+    }
+    compass = Stream(
+        name="compass", time_ns=time_ns, columns=field, units=dict.fromkeys(field, "T"),
+        compass=tuple(field),
+    )  # fmt: skip
+    ground = {"north": np.linspace(-3.0, 3.0, len(time_ns)), "east": np.full(len(time_ns), 1.5)}
+    ground["north"][7] = np.nan
+    gps = Stream(name="gps", time_ns=time_ns, columns=ground, velocity=("north", "east"))
+    recording = replace(recording, streams=(*recording.streams, compass, gps))
+    ulog_writer.write(recording, tmp_path / "flight.ulg")
+    again = ulog.read(tmp_path / "flight.ulg")
+    (seen,) = [s for s in again.streams if s.compass]
+    for theirs, ours in zip(seen.compass, field.values(), strict=True):
+        np.testing.assert_allclose(seen.columns[theirs], ours * 1e4, rtol=1e-6)
+    (moving,) = [s for s in again.streams if s.velocity]
+    for theirs, ours in zip(moving.velocity, ground.values(), strict=True):
+        known = np.arange(len(time_ns)) != 7
+        np.testing.assert_allclose(moving.columns[theirs][known], ours[known], rtol=1e-6)
+        assert np.isnan(moving.columns[theirs][7])
+    assert again.utc_at_zero_ns == UTC_NS
