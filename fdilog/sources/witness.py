@@ -128,8 +128,8 @@ def find_witness(
         The table with ``att.x``, ``att.y``, ``att.z`` as its last columns.
     """
     attitude = _placed(stream, zero_ns)
-    if attitude is None:
-        return "too few attitudes, or its clock restarts"
+    if isinstance(attitude, str):
+        return attitude
     attitude, clock = _aligned(attitude, table, config)
     attitude = _without_jumps(attitude, table)
     turn = rotation_vectors(attitude.quaternion)
@@ -144,7 +144,7 @@ def find_witness(
     flight = anchors.drift(attitude.time_s[0], attitude.time_s[-1], config.windows.confidence)
     if flight is not None and flight.lost:
         tilt_deg = np.degrees(flight.tilt_rad)
-        return f"lost: {tilt_deg:.0f} deg from the accelerometers' vertical for half of the flight"
+        return f"lost, {tilt_deg:.0f} deg from the accelerometers' vertical for half of the flight"
     return with_attitude, Witness(
         stream=stream.name,
         attitude=attitude,
@@ -203,17 +203,19 @@ def _channels(attitude: Attitude) -> tuple[Channel, ...]:
     )
 
 
-def _placed(stream: Stream, zero_ns: int) -> Attitude | None:
-    """Bring an attitude into flight time; nothing if its clock restarts."""
+def _placed(stream: Stream, zero_ns: int) -> Attitude | str:
+    """Bring an attitude into flight time, or say why that cannot be done."""
     (stamps,) = clean_stamps([stream.time_ns])
     q = logged_attitude(stream.columns)
-    if stamps.restarts or q is None:
-        return None
+    if q is None:
+        return "its columns are no attitude"
+    if stamps.restarts:
+        return "its clock restarts"
     q = q[stamps.keep]
     known = np.isfinite(q).all(axis=1)
     time_s = (stamps.time_ns[known] - zero_ns) / 1e9
     if len(time_s) < FEWEST_ATTITUDES:
-        return None
+        return f"{len(time_s)} attitudes are too few"
     steps = np.diff(time_s)
     sound = steps <= HOLE_PERIODS * float(np.median(steps))
     return Attitude(time_s=time_s, quaternion=q[known], sound=sound)

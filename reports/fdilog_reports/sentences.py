@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fdilog.analysis import Analysis
 from fdilog.decision.revealed import FEWEST_READINGS
 from fdilog.finding import Finding, Size
+from fdilog.sources.witness import SOURCE as WITNESS
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
@@ -278,9 +279,19 @@ def _why_nothing(analysis: Analysis) -> str:
         return "no sample is left of the gyro channels"
     if not analysis.isolability.detectable:
         if len(sources) == 1:
-            return f"the log holds one gyro source, {sources[0]}, and nothing to hold it against"
+            said = f"the log holds one gyro source, {sources[0]}, and nothing to hold it against"
+            return "; ".join([said, *_attitude_unused(analysis)])
         return f"no two of the sources {listed(sources)} measure along a common direction"
     return f"the sources {listed(sources)} have too little in common in time"
+
+
+def _attitude_unused(analysis: Analysis) -> list[str]:
+    """Say of an attitude that the log holds why it tells nothing of the gyros."""
+    return [
+        f"the attitude, {shown(info.topic)}, is {info.reason}"
+        for info in analysis.sources
+        if info.name == WITNESS and not info.used
+    ]
 
 
 def blind_spots(analysis: Analysis) -> list[str]:
@@ -319,6 +330,7 @@ def blind_spots(analysis: Analysis) -> list[str]:
             f"{listed(witnesses)} {'is' if len(witnesses) == 1 else 'are'} derived, not measured by"
             " a gyro of its own: a witness for faults that last seconds, blind to short ones."
         )
+    said += [f"{unused[0].upper()}{unused[1:]}." for unused in _attitude_unused(analysis)]
     said += limits(analysis)
     said += _sharpness(analysis)
     tolerance = figure(analysis.config.tolerance.bias_deg_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from fdilog.analysis import Part
 from fdilog.config import Config
 from fdilog.decision.autopilot import AutopilotNote
 from fdilog.finding import Finding, Size
+from fdilog.sources.assembly import SourceInfo
 from fdilog_reports import html
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
 from fdilog_reports.view import report
@@ -136,6 +138,23 @@ def test_one_gyro_alone_is_insufficient_and_why() -> None:
         "imu0.x, imu0.y and imu0.z: nothing else in this log measures along their axes, so a wrong"
         " rate would not have shown." in blind_spots(made)
     )
+
+
+def test_an_attitude_that_is_no_witness_is_said_to_be_none_and_why() -> None:
+    attitude = SourceInfo(
+        name="att",
+        topic="ATT",
+        used=False,
+        reason="no witness: lost, 84 deg from the accelerometers' vertical",
+        rate_hz=50.0,
+        samples=6000,
+        derived=True,
+    )
+    made = analysis(table(sources=1), verdict="insufficient")
+    made = replace(made, sources=(*made.sources, attitude))
+    why = "he attitude, ATT, is no witness: lost, 84 deg from the accelerometers' vertical."
+    assert verdict_sentence(made).endswith("nothing to hold it against; t" + why)
+    assert "T" + why in blind_spots(made)
 
 
 def test_a_gyro_that_only_a_model_of_the_vehicle_checks_is_said_to_be() -> None:
