@@ -38,6 +38,9 @@ FLIGHT_S = 600.0
 # A gyro's bias follows its temperature, which settles within a minute or two of power-up.
 WARM_UP_S = 60.0
 WARM_UP_DEG_S = 0.1
+# A filter that is started in flight knows its attitude badly, and its heading not at all.
+UPSETS = 1.0
+UPSET_RAD = 0.7
 # Lost records come in bursts, when the card is slow.
 HOLE_S = (0.05, 3.0)
 
@@ -85,8 +88,13 @@ def healthy(seed: int) -> tuple[str, Recording]:
     holes = _holes(rng)
     recording = replace(recording, streams=tuple(_with_holes(stream, holes) for stream in warm))
     if imus == 1:
-        # What a filter of this very gyro says is no truth.
-        recording = misled(recording, "imu0", float(rng.uniform(*TIME_CONSTANTS_S)))
+        # What a filter of this very gyro says is no truth, least of all where it starts anew.
+        tau_s = float(rng.uniform(*TIME_CONSTANTS_S))
+        upsets = [
+            (float(rng.uniform(0.0, FLIGHT_S)), rng.normal(0.0, UPSET_RAD, 3))
+            for _ in range(rng.poisson(UPSETS))
+        ]
+        recording = misled(recording, "imu0", tau_s, upsets)
     kind = "1 IMU" if imus == 1 else f"{imus} IMUs"
     return f"{kind}, {rate_hz:g} Hz, vibration {vibration_deg_s:g} deg/s", recording
 

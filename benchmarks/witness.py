@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from fdilog.recording import Recording, Stream
 from fdilog.registry import read
 from fdilog.sources.assembly import choose
 from fdilog.sources.attitude import from_euler, interpolated, logged_attitude, matrices
-from fdilog.sources.clocks import clean_stamps
+from fdilog.sources.clocks import HOLE_PERIODS, clean_stamps
 from fdilog.sources.witness import attitude_stream
 
 Floats = NDArray[np.float64]
@@ -55,11 +55,20 @@ def first_imu_alone(recording: Recording) -> Recording:
     return replace(recording, streams=tuple(s for s in recording.streams if id(s) not in others))
 
 
-def misled(recording: Recording, imu: str, tau_s: float) -> Recording:
+def misled(
+    recording: Recording, imu: str, tau_s: float, upsets: Sequence[tuple[float, Floats]] = ()
+) -> Recording:
     """Replace the attitude by one that a filter would have made of this IMU's gyro.
 
     It integrates the gyro and draws tilt to the accelerometers and heading to that of the log's own
-    attitude (as a compass would), each with the time constant.
+    attitude (as a compass would), each with the time constant. Holes are the log's, not the
+    filter's, which goes on meanwhile.
+
+    Parameters
+    ----------
+    upsets
+        When it starts anew with a wrong attitude [s since the first], and by what rotation vector
+        (3,) that is off. [rad]
     """
     stream = attitude_stream(recording)
     q = None if stream is None else logged_attitude(stream.columns)
@@ -75,8 +84,11 @@ def misled(recording: Recording, imu: str, tau_s: float) -> Recording:
     grid = np.arange(time_s[0], time_s[-1], STEP_S)
     w = np.column_stack([np.interp(grid, gyro_s, c) for c in rate.T])
     f = np.column_stack([np.interp(grid, gyro_s, c) for c in force.T])
-    heard = np.interp(grid, gyro_s, np.arange(len(gyro_s)))
-    resting = np.diff(heard, append=heard[-1]) < 1e-3 * STEP_S  # holes: nothing to integrate
+    pauses = np.diff(gyro_s)
+    pauses = np.where(pauses > HOLE_PERIODS * np.median(pauses), pauses, 0.0)
+    after = np.clip(np.searchsorted(gyro_s, grid), 1, len(gyro_s) - 1)
+    unheard = (pauses[after - 1] > 0.0) | (grid < gyro_s[0]) | (grid > gyro_s[-1])
+    anew = {int(np.searchsorted(grid, grid[0] + at_s)): turn for at_s, turn in upsets}
     own = interpolated(time_s, true, grid)
     r_own = matrices(own)
     heading = np.arctan2(r_own[:, 1, 0], r_own[:, 0, 0])
@@ -84,9 +96,12 @@ def misled(recording: Recording, imu: str, tau_s: float) -> Recording:
     turned = np.empty((len(grid), 3, 3))
     r = r_own[0]
     for k in range(len(grid)):
-        if resting[k]:
-            r = r_own[k]
+        if k in anew:
+            r = _turn(anew[k]) @ r
         turned[k] = r
+        if unheard[k]:
+            r = r @ r_own[k].T @ r_own[min(k + 1, len(grid) - 1)]
+            continue
         up = r @ f[k]
         pull = np.cross(up, [0.0, 0.0, -1.0]) / max(float(np.linalg.norm(up)), 1e-9)
         yaw = np.arctan2(r[1, 0], r[0, 0])

@@ -190,9 +190,13 @@ def testimony(
     looks = windowed_mean(apart[rows][None, :, None])
     mean = float(looks.mean[0, 0])
     doubted = (axis, _across(witness, table, axis, span))
-    path = (table.time_s, _path(witness, table, apart, axis))
+    path = (table.time_s, _path(witness, table, _apart(table, channel, apart)))
     anchors = witness.anchors
-    drift = anchors.drift(start_s, end_s, ANCHOR_CONFIDENCE, path, doubted)
+    # Either the gyro is right, or the attitude.
+    guesses = (np.zeros(3), mean * axis)
+    drift = anchors.drift(
+        start_s, end_s, ANCHOR_CONFIDENCE, path=path, axis=doubted, guesses_rad_s=guesses
+    )
     of_attitude = anchors.drift(start_s, end_s, ANCHOR_CONFIDENCE, axis=doubted)
     if drift is None or of_attitude is None:
         return None
@@ -240,11 +244,28 @@ def _across(witness: Witness, table: ChannelTable, axis: Floats, span: tuple[int
     return math.hypot(nearest, witness.anchors.healthy_rad_s)
 
 
-def _path(witness: Witness, table: ChannelTable, apart: Floats, axis: Floats) -> Floats:
-    """By how much more than the attitude a gyro has turned, in the world, (n_samples, 3). [rad]"""
+def _apart(table: ChannelTable, channel: int, apart: Floats) -> Floats:
+    """Tell what a gyro and its siblings on the device turn beyond the attitude, (n, 3). [rad/s]
+
+    About the other axes it is the siblings that are asked: an attitude that starts anew or comes
+    back from where a failed gyro led it turns about any.
+    """
+    source = table.channels[channel].source
+    columns = [k for k, one in enumerate(table.channels) if one.source == source]
+    derived = [k for k, one in enumerate(table.channels) if one.derived]
+    if np.linalg.matrix_rank(table.axes[columns]) < 3:
+        return np.outer(apart, table.axes[channel])
+    known = np.asarray(table.valid[:, [*columns, *derived]].all(axis=1), bool)[:, None]
+    rate = table.rate_rad_s[:, columns] @ np.linalg.pinv(table.axes[columns]).T
+    attitude = table.rate_rad_s[:, derived] @ table.axes[derived]
+    return np.where(known, rate - attitude, 0.0)
+
+
+def _path(witness: Witness, table: ChannelTable, apart: Floats) -> Floats:
+    """By how much more than the attitude gyros have turned, in the world, (n_samples, 3). [rad]"""
     attitude = witness.attitude
-    turned = matrices(interpolated(attitude.time_s, attitude.quaternion, table.time_s)) @ axis
-    rate = turned * apart[:, None]
+    turned = matrices(interpolated(attitude.time_s, attitude.quaternion, table.time_s))
+    rate = (turned @ apart[:, :, None])[:, :, 0]
     steps = np.diff(table.time_s)
     # Across a hole nothing is known of either, and nothing is added.
     steps = np.where(steps > 5 * table.period_s, 0.0, steps)[:, None]

@@ -11,7 +11,8 @@ known to some 40 degrees; so weak anchors decide long spans, and no anchor decid
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,10 @@ calls an interference of 60 % of the earth's field the limit of what may fly. Ov
 looked at, it may have turned by as much less as a random walk does."""
 
 ROUNDS = 4
+MOST_STEPS = 10
+CONVERGED_RAD = np.radians(1.0)
+"""Over the span, a step of the fit that no anchor would show."""
+
 LEAST_VARIANCE = 1e-8
 """A ten-thousandth of gravity, squared: no accelerometer is better."""
 
@@ -61,7 +66,8 @@ class Drift:
     Parameters
     ----------
     error_rad_s, half_width_rad_s : (3,)
-        Rate error b along body x, y, z, and the half-width of its interval. [rad/s]
+        Rate error b along body x, y, z, and the half-width of its interval, infinite where what
+        was fitted did not settle. [rad/s]
     tilt_rad
         Median angle between the attitude's vertical and the accelerometers'. [rad]
     anchors
@@ -85,7 +91,8 @@ class Drift:
 
     def half_width(self, axis: Floats) -> float:
         """Half-width of the interval of the error about an axis. [rad/s]"""
-        return float(np.sqrt((axis**2 * self.half_width_rad_s**2).sum()))
+        along = axis != 0.0
+        return float(np.linalg.norm(axis[along] * self.half_width_rad_s[along]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,23 +133,29 @@ class Anchors:
         start_s: float,
         end_s: float,
         confidence: float,
+        *,
         path: tuple[Floats, Floats] | None = None,
         axis: tuple[Floats, float] | None = None,
+        guesses_rad_s: Sequence[Floats] = (np.zeros(3),),
     ) -> Drift | None:
         """Fit the attitude's rate error over a span, or nothing where too little is known.
 
         Half of the span before it and after it, or ten seconds, are looked at too: there the error
-        is that of a healthy gyro, so that the attitude before and after is known the better.
+        is that of a healthy gyro, so that the attitude before and after is known the better. What
+        directions do is not linear in the error: it is taken out and fitted again until nothing
+        is left of it (Gauss and Newton).
 
         Parameters
         ----------
         path
-            Times (m,) [s] and by how much more than the attitude some gyro has turned until then,
-            in the world, (m, 3) [rad]; the error is then that of the attitude that the gyro would
-            have given.
+            Times (m,) [s] and by how much more than the attitude some gyros have turned until then,
+            in the world, (m, 3) [rad]; the error is then that of the attitude that they would have
+            given.
         axis
             The axis (3,) in the body frame [1] about which alone something may have failed, and
             the standard deviation of the rate error across it [rad/s]. Else it may be any.
+        guesses_rad_s
+            Errors (3,) to begin with, of which that is kept which ends up the nearest.
         """
         length_s = end_s - start_s
         reach_s = max(length_s / 2, LEAST_REACH_S)
@@ -152,18 +165,18 @@ class Anchors:
         before, after = (self.time_s[rows] < start_s).sum(), (self.time_s[rows] > end_s).sum()
         if inside.sum() < FEWEST_CELLS and min(before, after) < FEWEST_CELLS:
             return None
-        more = np.zeros((len(rows), 3))
-        if path is not None:
-            columns = [np.interp(self.time_s[rows], path[0], column) for column in path[1].T]
-            more = np.column_stack(columns)
-        design, target, kind = self._equations(rows, (start_s, end_s), more)
-        information = np.eye(design.shape[2]) / VAGUE**2
-        information[3:6, 3:6] = np.eye(3) / self.healthy_rad_s**2
+        expected = np.eye(6) / self.healthy_rad_s**2
+        expected[:3, :3] = np.eye(3) / VAGUE**2
         if axis is not None:
             along = np.outer(axis[0], axis[0])
-            information[:3, :3] = along / VAGUE**2 + (np.eye(3) - along) / axis[1] ** 2
-        error, variance, dof = _fitted(design, target, kind, information)
-        half = np.sqrt(variance) * student_quantile(dof, confidence)
+            expected[:3, :3] = along / VAGUE**2 + (np.eye(3) - along) / axis[1] ** 2
+        fits = [
+            self._converged(rows, (start_s, end_s), path, guess, expected)
+            for guess in guesses_rad_s
+        ]
+        fit = min(fits, key=lambda fit: fit.left)
+        error = fit.rates[:3] + fit.rates[3:]
+        half = np.sqrt(fit.variance) * student_quantile(fit.dof, confidence)
         anchors = ["gravity", *(["GPS"] if self.by_gps else [])]
         if _known(self.compass[rows]).sum() >= FEWEST_CELLS:
             anchors.append("compass")
@@ -177,6 +190,30 @@ class Anchors:
             tilt_rad=float(np.median(_angle(self.force[rows], self.expected[rows]))),
             anchors=tuple(anchors),
         )
+
+    def _converged(
+        self,
+        rows: NDArray[np.int64],
+        span: tuple[float, float],
+        path: tuple[Floats, Floats] | None,
+        guess: Floats,
+        expected: Floats,
+    ) -> _Fit:
+        """Take rate errors out and fit again what is left of them."""
+        cells = slice(int(rows[0]), int(rows[-1]) + 1)
+        more = np.zeros((cells.stop - cells.start, 3))
+        if path is not None:
+            more = np.column_stack([np.interp(self.time_s[cells], path[0], p) for p in path[1].T])
+        turned, inside = self.turned[cells], self._turned_in(span, cells)
+        rates = np.concatenate([guess, np.zeros(3)])
+        for _ in range(MOST_STEPS):
+            turn = _accumulated(np.diff(more - inside @ rates[:3] - turned @ rates[3:], axis=0))
+            fit = _fitted(*self._equations(rows, cells.start, turn, inside), expected, rates)
+            step = fit.rates - rates
+            rates = fit.rates
+            if float(np.abs(step).max()) * (span[1] - span[0]) < CONVERGED_RAD:
+                return fit
+        return replace(fit, variance=np.full(3, np.inf))
 
     def _told(self, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Choose the cells of the longest segments; a few cells do not tell their own constants."""
@@ -195,7 +232,7 @@ class Anchors:
         return np.asarray(inside, bool)
 
     def _equations(
-        self, rows: NDArray[np.int64], span: tuple[float, float], more: Floats
+        self, rows: NDArray[np.int64], first: int, turn: Floats, inside: Floats
     ) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Write linear equations for what is not known.
 
@@ -204,8 +241,10 @@ class Anchors:
 
         Parameters
         ----------
-        more : (n, 3)
-            What is added to the attitude error d. [rad]
+        turn : (m, 3, 3)
+            What turns the attitude's world into that of the gyros, from cell `first` on.
+        inside : (m, 3, 3)
+            Integral of R_att over the part of the span that is over. [s]
 
         Returns
         -------
@@ -216,21 +255,31 @@ class Anchors:
         kind : (3,)
             Which equations have one and the same noise.
         """
+        own = rows - first
         segments, number = np.unique(self.segment[rows], return_inverse=True)
         start = np.zeros((len(rows), 3, 3 * len(segments)))
         for axis in range(3):
             start[np.arange(len(rows)), axis, 3 * number + axis] = 1.0
-        turned = self.turned[rows] - self.turned[rows[0]]
+        expected = self.expected[rows]
+        force = _times(turn[own], self.force[rows])
+        known = _known(self.compass[rows])
+        field = np.where(known[:, None], _times(turn[own], self.compass[rows]), 0.0)
+        north = self.compass[rows][known].mean(axis=0) if known.any() else np.zeros(3)
+        level = _levelling(number, force, expected, field, north)
+        force, field = _times(level, force), _times(level, field)
+        turned = self.turned[first : first + len(turn)]
         # Attitude error d = turned b + d_start; a direction s appears as s + d x s.
         tilt = np.concatenate(
-            [self._turned_in(span, rows), turned, start, np.zeros((len(rows), 3, 1))], axis=2
+            [
+                level @ _along(turn, inside)[own],
+                level @ _along(turn, turned)[own],
+                start,
+                np.zeros((len(rows), 3, 1)),
+            ],
+            axis=2,
         )
-        expected = self.expected[rows]
         lever = -_cross(expected)
         gravity = (lever @ tilt)[:, :2]
-        force = self.force[rows] - expected + (lever @ more[:, :, None])[:, :, 0]
-        known = _known(self.compass[rows])
-        field = np.where(known[:, None], self.compass[rows], 0.0)
         usual = field[known].mean(axis=0) if known.any() else np.zeros(3)
         # Of the compass only the heading is believed: currents of the motors change its vertical
         # part with the throttle, and gravity is there to tell the tilt.
@@ -239,24 +288,49 @@ class Anchors:
         lever = across @ -_cross(np.broadcast_to(usual, field.shape))
         heading = (lever[:, None, :] @ tilt)[:, 0]
         heading[:, -1] = 1.0
-        turn = (field - usual) @ across + (lever * more).sum(axis=1)
+        turn_of_it = (field - usual) @ across
         design = np.concatenate([gravity, np.where(known[:, None], heading, 0.0)[:, None]], axis=1)
-        target = np.column_stack([force[:, :2], np.where(known, turn, 0.0)])
+        target = np.column_stack([(force - expected)[:, :2], np.where(known, turn_of_it, 0.0)])
         return design, target, np.array([0, 0, 1])
 
-    def _turned_in(self, span: tuple[float, float], rows: NDArray[np.int64]) -> Floats:
+    def _turned_in(self, span: tuple[float, float], cells: slice) -> Floats:
         """Integral of R_att over that part of a span which is over at each cell, (n, 3, 3). [s]"""
-        at_s = np.clip(self.time_s[rows], *span)
+        at_s = np.clip(self.time_s[cells], *span)
         flat = self.turned.reshape(-1, 9)
         columns = [np.interp(at_s, self.time_s, column) for column in flat.T]
-        turned = np.column_stack(columns).reshape(-1, 3, 3)
-        return np.asarray(turned - turned[0])
+        return np.column_stack(columns).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """Rate errors that were fitted.
+
+    Parameters
+    ----------
+    rates : (6,)
+        The error in the span in excess of a constant one, and that constant one. [rad/s]
+    variance, dof : (3,)
+        Of their sum about each axis, [rad^2/s^2], and its degrees of freedom: a kind of equation
+        whose noise is badly known matters as far as it has a part in the answer (Satterthwaite's
+        formula).
+    left
+        Mean square of what is left of the equations.
+    """
+
+    rates: Floats
+    variance: Floats
+    dof: Floats
+    left: float
 
 
 def _fitted(
-    design: Floats, target: Floats, kind: NDArray[np.int64], information: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Fit both rate errors by least squares, and add them up.
+    design: Floats,
+    target: Floats,
+    kind: NDArray[np.int64],
+    expected: Floats,
+    taken_out: Floats,
+) -> _Fit:
+    """Fit both rate errors by least squares.
 
     Each kind of equation is weighted by the long-run variance of its residuals, which allows for
     noise of any colour: a manoeuvre that goes on counts for more, a velocity that comes back to
@@ -264,16 +338,10 @@ def _fitted(
 
     Parameters
     ----------
-    information : (n_unknowns, n_unknowns)
-        What is known beforehand: the inverse of a covariance.
-
-    Returns
-    -------
-    error, variance : (3,)
-        Rate error about each axis and its variance. [rad/s], [rad^2/s^2]
-    dof : (3,)
-        Degrees of freedom of the variance: a kind of equation whose noise is badly known matters
-        as far as it has a part in the answer (Satterthwaite's formula).
+    expected : (6, 6)
+        What is known of the rate errors beforehand: the inverse of a covariance.
+    taken_out : (6,)
+        What has been taken out of them. [rad/s]
     """
     unknowns = design.shape[2]
     used = np.asarray(design.any(axis=2), bool)
@@ -284,13 +352,17 @@ def _fitted(
     share = 1.0 - min(unknowns / max(int(used.sum()), 1), 0.5)
     total = np.zeros((3, unknowns))
     total[:, :3] = total[:, 3:6] = np.eye(3)
+    information = np.eye(unknowns) / VAGUE**2
+    information[:6, :6] = expected
+    pull = np.zeros(unknowns)
+    pull[:6] = -expected @ taken_out
     for _ in range(ROUNDS):
         told = [
             np.einsum("nru,nrv->uv", design[:, g] / long_run[g, None], design[:, g]) for g in groups
         ]
         covariance = np.linalg.inv(np.sum(told, axis=0) + information)
         weighted = design / long_run[:, None]
-        solved = covariance @ np.einsum("nru,nr->u", weighted, target)
+        solved = covariance @ (np.einsum("nru,nr->u", weighted, target) + pull)
         residual = target - design @ solved
         of_error = total @ covariance
         parts = np.array([np.einsum("iu,uv,iv->i", of_error, one, of_error) for one in told])
@@ -303,7 +375,60 @@ def _fitted(
             known[number] = looks.dof[0]
     with np.errstate(divide="ignore"):
         dof = variance**2 / (parts**2 / known[:, None]).sum(axis=0)
-    return total @ solved, variance, dof
+    left = float((residual[used] ** 2).mean())
+    return _Fit(rates=solved[:6] + taken_out, variance=variance, dof=dof, left=left)
+
+
+def _accumulated(steps: Floats) -> Floats:
+    """Multiply small turns (n, 3) [rad] up, (n + 1, 3, 3)."""
+    angle = np.linalg.norm(steps, axis=1)[:, None, None]
+    about = _cross(steps)
+    # Rodrigues' formula; sin(a) / a and (1 - cos(a)) / a^2 without a division by zero.
+    small = np.eye(3) + np.sinc(angle / np.pi) * about
+    small = small + np.sinc(angle / (2 * np.pi)) ** 2 / 2.0 * about @ about
+    turns = [np.eye(3)]
+    for turn in small:
+        turns.append(turns[-1] @ turn)
+    return np.array(turns)
+
+
+def _along(turn: Floats, integral: Floats) -> Floats:
+    """Integrate anew what was integrated over cells (n, 3, 3), each step of it turned (n, 3, 3)."""
+    found = np.zeros_like(integral)
+    middle = (turn[1:] + turn[:-1]) / 2.0
+    np.cumsum(middle @ np.diff(integral, axis=0), axis=0, out=found[1:])
+    return found
+
+
+def _levelling(
+    segment: NDArray[np.int64], force: Floats, expected: Floats, field: Floats, north: Floats
+) -> Floats:
+    """Rotations (n, 3, 3) that level each segment by the mean of its forces, and head it north.
+
+    A filter that starts anew knows neither, and the equations are linear in what it is off by.
+    """
+    level = np.empty((len(force), 3, 3))
+    for number in np.unique(segment):
+        own = segment == number
+        found, wanted = _directions(np.stack([force[own].mean(axis=0), expected[own].mean(axis=0)]))
+        about = _cross(np.cross(found, wanted)[None])[0]
+        cosine = max(float(found @ wanted), LEAST_VARIANCE - 1.0)
+        # Rodrigues' formula of the shortest turn from one direction to another.
+        upright = np.eye(3) + about + about @ about / (1.0 + cosine)
+        seen = upright @ field[own].sum(axis=0)
+        turn = np.arctan2(north[1], north[0]) - np.arctan2(seen[1], seen[0]) if seen.any() else 0.0
+        level[own] = _accumulated(np.array([[0.0, 0.0, turn]]))[1] @ upright
+    return level
+
+
+def _directions(v: Floats) -> Floats:
+    """Make vectors (n, 3) one long."""
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1), LEAST_VARIANCE)[:, None])
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """Turn vectors (n, 3) by matrices (n, 3, 3)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _known(v: Floats) -> NDArray[np.bool_]:

@@ -362,6 +362,25 @@ def test_an_attitude_that_stands_still_from_some_moment_on_accuses_nobody(seed: 
     assert analysed(with_attitude(flight.recording(), frozen)).findings == ()
 
 
+@pytest.mark.parametrize("azimuth_deg", [20.0, 110.0, 200.0, 290.0])
+def test_an_attitude_that_starts_anew_and_converges_accuses_nobody(azimuth_deg: float) -> None:
+    azimuth = np.radians(azimuth_deg)
+    wrong = np.radians(120.0) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+
+    def anew(stream: Stream) -> Stream:
+        q = logged_attitude(stream.columns)
+        assert q is not None
+        since_s = (stream.time_ns - stream.time_ns[0]) / 1e9 - 40.0
+        off = np.where(since_s < 0.0, 0.0, np.exp(-np.abs(since_s) / 12.0))[:, None] * wrong
+        half = np.linalg.norm(off, axis=1, keepdims=True) / 2.0
+        turn = np.hstack([np.cos(half), off / 2.0 * np.sinc(half / np.pi)])
+        parts = dict(zip(("qw", "qx", "qy", "qz"), product(turn, q).T, strict=True))
+        return replace(stream, columns=parts, units=dict.fromkeys(parts, "1"))
+
+    recording = simulate(90.0, 25.0, sources=1, seed=1).recording()
+    assert analysed(with_attitude(recording, anew)).findings == ()
+
+
 def test_what_gravity_does_not_show_leaves_the_axis_in_question_known() -> None:
     # At rest, nose up by 30 degrees: half a turn about x is a turn of the heading.
     r = matrices(from_euler(np.array([[0.0, np.radians(30.0), 0.0]])))[0]
