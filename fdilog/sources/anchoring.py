@@ -74,12 +74,14 @@ def anchored(
     upward = 1.0 if float(np.nanmedian(force[:, 2])) > 0 else -1.0
     expected = np.zeros_like(force)
     expected[:, 2] = upward
-    by_gps = False
-    if upward < 0:
-        # Only then is the world north, east, down, as GPS has it.
-        accelerated = _acceleration_by_gps(recording, edges, zero_ns, force)
-        if accelerated is not None:
-            expected[:, :2], by_gps = accelerated, True
+    unseen = np.zeros(len(force))
+    accelerated, by_gps = _acceleration_by_gps(recording, edges, zero_ns, force)
+    # Only where down is positive is the world north, east, down, as GPS has it.
+    by_gps = by_gps and upward < 0
+    if by_gps:
+        expected[:, :2] = accelerated
+    else:
+        unseen = np.linalg.norm(accelerated, axis=1)
     return Anchors(
         time_s=edges[:-1] + CELL_S / 2,
         segment=_segments(attitude, edges),
@@ -88,6 +90,7 @@ def anchored(
         expected=expected,
         compass=_compass(recording, attitude, edges, zero_ns),
         by_gps=by_gps,
+        unseen=unseen,
         healthy_rad_s=float(np.radians(config.noise.bias_sigma_deg_s)),
     )
 
@@ -166,34 +169,35 @@ def _frozen(time_s: Floats, values: Floats) -> NDArray[np.bool_]:
 
 def _acceleration_by_gps(
     recording: Recording, edges: Floats, zero_ns: int, force: Floats
-) -> Floats | None:
-    """Horizontal acceleration (north, east) over gravity, (n_cells, 2), if it explains the force.
+) -> tuple[Floats, bool]:
+    """Horizontal acceleration (north, east) over gravity, (n_cells, 2); does it explain the force?
 
-    It is used only where taking it out leaves less than there was: an accelerometer that vibration
-    spoils, or a filter whose yaw is wrong all along, is not helped by it.
+    It does where taking it out leaves less than there was: an accelerometer that vibration spoils,
+    a filter whose yaw is wrong all along, or one that takes the force of a turn for the vertical,
+    is not helped by it.
     """
+    nothing = np.zeros((len(edges) - 1, 2))
     stream = next((s for s in recording.streams if s.velocity and s.columns), None)
     if stream is None:
-        return None
+        return nothing, False
     time_s, velocity = _times(stream, zero_ns), _values(stream, stream.velocity)
     good = np.isfinite(velocity).all(axis=1) & (np.diff(time_s, prepend=-np.inf) > 0)
     if good.sum() < FEWEST_FIXES:
-        return None
+        return nothing, False
     time_s, velocity = time_s[good], velocity[good]
     after = np.clip(np.searchsorted(time_s, edges), 1, len(time_s) - 1)
     heard = (edges >= time_s[0]) & (edges <= time_s[-1])
     heard &= time_s[after] - time_s[after - 1] <= LONGEST_PAUSE_S
     rows = np.isfinite(force).all(axis=1) & heard[1:] & heard[:-1]
-    best, least = None, np.inf
+    best, least = nothing, np.inf
     for lag in GPS_LAGS_S:
         at = np.column_stack([np.interp(edges + lag, time_s, v) for v in velocity.T])
         found = np.diff(at, axis=0) / CELL_S / STANDARD_GRAVITY
         left = _spread(force[rows, :2] - found[rows])
         if left < least:
             best, least = found, left
-    if best is None or not least < _spread(force[rows, :2]):
-        return None
-    return np.where((heard[1:] & heard[:-1])[:, None], best, 0.0)
+    accelerated = np.where((heard[1:] & heard[:-1])[:, None], best, 0.0)
+    return accelerated, least < _spread(force[rows, :2])
 
 
 def _spread(values: Floats) -> float:

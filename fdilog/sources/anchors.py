@@ -46,6 +46,10 @@ COMPASS_DOUBT_RAD = float(np.arcsin(0.6))
 calls an interference of 60 % of the earth's field the limit of what may fly. Over a part of what is
 looked at, it may have turned by as much less as a random walk does."""
 
+RAMP = float(np.sqrt(6.0))
+"""What changes steadily during half of a time and else stays, changes by so many of its standard
+deviations."""
+
 ROUNDS = 4
 MOST_STEPS = 10
 CONVERGED_RAD = np.radians(1.0)
@@ -66,8 +70,7 @@ class Drift:
     Parameters
     ----------
     error_rad_s, half_width_rad_s : (3,)
-        Rate error b along body x, y, z, and the half-width of its interval, infinite where what
-        was fitted did not settle. [rad/s]
+        Rate error b along body x, y, z, and the half-width of its interval. [rad/s]
     tilt_rad
         Median angle between the attitude's vertical and the accelerometers'. [rad]
     anchors
@@ -91,8 +94,7 @@ class Drift:
 
     def half_width(self, axis: Floats) -> float:
         """Half-width of the interval of the error about an axis. [rad/s]"""
-        along = axis != 0.0
-        return float(np.linalg.norm(axis[along] * self.half_width_rad_s[along]))
+        return float(np.linalg.norm(axis * self.half_width_rad_s))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,6 +117,8 @@ class Anchors:
         Mean field, turned by the attitude, over its usual size; NaN where unknown. [1]
     by_gps
         Whether ``expected`` holds accelerations.
+    unseen : (n,)
+        Horizontal acceleration that GPS saw and ``expected`` does not hold, over gravity. [1]
     healthy_rad_s
         Standard deviation of a healthy gyro's bias. [rad/s]
     """
@@ -126,6 +130,7 @@ class Anchors:
     expected: Floats
     compass: Floats
     by_gps: bool
+    unseen: Floats
     healthy_rad_s: float
 
     def drift(
@@ -178,12 +183,20 @@ class Anchors:
         error = fit.rates[:3] + fit.rates[3:]
         half = np.sqrt(fit.variance) * student_quantile(fit.dof, confidence)
         anchors = ["gravity", *(["GPS"] if self.by_gps else [])]
-        if _known(self.compass[rows]).sum() >= FEWEST_CELLS:
+        # Where each body axis points, and about which axis of the world a direction may be wrong.
+        pointing = np.diff(self.turned[rows], axis=0) / np.diff(self.time_s[rows])[:, None, None]
+        upright = np.abs(pointing[:, 2]).mean(axis=0)
+        level = np.linalg.norm(pointing[:, :2], axis=1).mean(axis=0)
+        quantile = student_quantile(np.array([float(len(rows))]), confidence)
+        tilted = quantile * RAMP * np.sqrt((self.unseen[rows] ** 2).mean() / 2.0)
+        half = np.hypot(half, level * tilted / length_s)
+        heard = rows[_known(self.compass[rows])]
+        if len(heard) >= FEWEST_CELLS:
             anchors.append("compass")
             seen_s = self.time_s[rows[-1]] - self.time_s[rows[0]] + CELL_S
-            step = np.diff(self.turned[rows, 2], axis=0) / np.diff(self.time_s[rows])[:, None]
-            doubt = COMPASS_DOUBT_RAD * np.sqrt(length_s / (2.0 * seen_s)) / length_s
-            half = np.hypot(half, np.abs(step).mean(axis=0) * doubt)
+            own = COMPASS_DOUBT_RAD * np.sqrt(length_s / (2.0 * seen_s))
+            turned = np.hypot(own, quantile * RAMP * _strayed(self.compass[heard]))
+            half = np.hypot(half, upright * turned / length_s)
         return Drift(
             error_rad_s=error,
             half_width_rad_s=half,
@@ -209,11 +222,12 @@ class Anchors:
         for _ in range(MOST_STEPS):
             turn = _accumulated(np.diff(more - inside @ rates[:3] - turned @ rates[3:], axis=0))
             fit = _fitted(*self._equations(rows, cells.start, turn, inside), expected, rates)
-            step = fit.rates - rates
+            step = (fit.rates - rates).reshape(2, 3).sum(axis=0)
             rates = fit.rates
             if float(np.abs(step).max()) * (span[1] - span[0]) < CONVERGED_RAD:
-                return fit
-        return replace(fit, variance=np.full(3, np.inf))
+                break
+        # What it still swings by is not known.
+        return replace(fit, variance=fit.variance + step**2)
 
     def _told(self, usable: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Choose the cells of the longest segments; a few cells do not tell their own constants."""
@@ -377,6 +391,16 @@ def _fitted(
         dof = variance**2 / (parts**2 / known[:, None]).sum(axis=0)
     left = float((residual[used] ** 2).mean())
     return _Fit(rates=solved[:6] + taken_out, variance=variance, dof=dof, left=left)
+
+
+def _strayed(field: Floats) -> float:
+    """Tell by what standard deviation the heading of a field (n, 3) strays, by its size. [rad]
+
+    Neither steel nor currents know where north is: what they add to the field changes its size as
+    much as its direction. Turning does not change the size, so that no attitude has a part in it.
+    """
+    across = float(np.median(np.linalg.norm(field[:, :2], axis=1)))
+    return float(np.linalg.norm(field, axis=1).std()) / max(across, LEAST_VARIANCE)
 
 
 def _accumulated(steps: Floats) -> Floats:

@@ -32,6 +32,9 @@ from fdilog.table import PARALLEL, ChannelTable
 Floats = NDArray[np.float64]
 
 DETECTOR = "mounting"
+ASTRAY_S = 20.0
+"""An attitude that is corrected with a time constant of some seconds is back after so long."""
+
 FEWEST_IN_CELL = 0.5
 """A cell needs half of its usual readings; the mean over fewer belongs to another time."""
 
@@ -99,6 +102,11 @@ def mountings(table: ChannelTable, *, one_frame: bool = True) -> Mountings:
     one_frame
         Whether derived channels are known to be in the body frame of the gyros. If not, a single
         device may differ from them all along and still be mounted as it should be.
+
+    Notes
+    -----
+    A single device has only the attitude to be held against, and an attitude that was led astray
+    turns otherwise than its gyro too: for a while, and by any angle.
     """
     flight = _Flight.of(table)
     found = sorted(
@@ -107,7 +115,7 @@ def mountings(table: ChannelTable, *, one_frame: bool = True) -> Mountings:
             for source, others in flight.compared()
             for turn in turns(flight.reference(others), flight.means[source])
             if not flight.disputed(others, turn)
-            if one_frame or others != flight.derived or turn.begins or turn.ends
+            if others != flight.derived or _lasting(turn, one_frame)
         ),
         key=lambda one: (one.start, one.source),
     )
@@ -121,6 +129,15 @@ def mountings(table: ChannelTable, *, one_frame: bool = True) -> Mountings:
         found=tuple(found),
         untold=tuple((source, tuple(AXES[k] for k in axes)) for source, axes in untold if axes),
     )
+
+
+def _lasting(turn: Turn, one_frame: bool) -> bool:
+    """Tell whether a device is turned against an attitude as no attitude is that comes back."""
+    if not turn.simple:
+        return False
+    if turn.begins is None and turn.ends is None:
+        return one_frame
+    return (turn.last - turn.first) * CELL_S >= ASTRAY_S
 
 
 def turned_back(table: ChannelTable, found: Sequence[Mounting]) -> ChannelTable:

@@ -78,6 +78,11 @@ class Turn:
     ends: tuple[int, int] | None
 
     @property
+    def simple(self) -> bool:
+        """Whether axes are swapped or inverted, and nothing is turned by another angle."""
+        return bool((self.matrix == signed_permutations()).all(axis=(1, 2)).any())
+
+    @property
     def differs(self) -> NDArray[np.bool_]:
         """Which of the readings x, y, z are not those of that body axis, whatever stands, (3,)."""
         off = np.abs(np.einsum("nii->ni", self.standing) - 1.0) > 1.0 - PARALLEL

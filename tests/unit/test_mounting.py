@@ -126,6 +126,17 @@ def test_a_single_device_that_turns_in_flight_is_held_against_the_attitude() -> 
     assert finding.start_s == pytest.approx(30.0, abs=0.5)
 
 
+@pytest.mark.parametrize(
+    "fault",
+    [
+        mounted("imu0.z", HALF, start_s=30.0, end_s=42.0),
+        mounted("imu0.z", np.radians(40.0), start_s=10.0),
+    ],
+)
+def test_an_attitude_alone_tells_no_turn_that_one_led_astray_makes(fault: Fault) -> None:
+    assert not [f for f in analysis(fault, sources=1).findings if f.kind == "mounting"]
+
+
 def test_a_fault_of_a_turned_device_is_found_beside_its_mounting_and_named_as_logged() -> None:
     fault = Fault(kind="bias", channel="imu1.x", start_s=30.0, end_s=50.0, size=0.1)
     found = analysis(mounted("imu1.z", QUARTER), fault, attitude=False)

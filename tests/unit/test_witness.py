@@ -126,6 +126,36 @@ def test_a_compass_tells_which_gyro_of_the_yaw_is_off() -> None:
     assert "compass" in finding.detail
 
 
+@pytest.mark.parametrize(("strays", "accused"), [(True, ()), (False, ("imu0.z",))])
+def test_a_field_that_strays_in_size_is_not_believed(
+    strays: bool, accused: tuple[str, ...]
+) -> None:
+    def off(time_s: Floats) -> Floats:
+        return np.clip((time_s - START_S) / (END_S - START_S), 0.0, 1.0) * np.radians(90.0)
+
+    def followed(stream: Stream) -> Stream:
+        heading = off((stream.time_ns - stream.time_ns[0]) / 1e9)
+        angles = {name: stream.columns[name] for name in ("roll", "pitch", "yaw")}
+        return replace(stream, columns=angles | {"yaw": angles["yaw"] - heading})
+
+    recording = with_compass(flown(1).recording(), lambda field: field)
+    (attitude,) = [s for s in recording.streams if s.origin == "derived"]
+    (compass,) = [s for s in recording.streams if s.compass]
+    time_s = (compass.time_ns - attitude.time_ns[0]) / 1e9
+    heading = off(time_s)
+    q = logged_attitude(attitude.columns)
+    assert q is not None
+    r = matrices(interpolated(attitude.time_ns / 1e9, q, compass.time_ns / 1e9))
+    size = 1.0 + 0.3 * np.sin(time_s / 5.0) * strays
+    world = [200.0 * size * np.cos(heading), 200.0 * size * np.sin(heading), 400.0 * size]
+    body = np.einsum("ni,nij->nj", np.column_stack(world), r)
+    led = replace(compass, columns=dict(zip(compass.columns, body.T, strict=True)))
+    streams = tuple(led if s is compass else s for s in recording.streams)
+    recording = with_attitude(replace(recording, streams=streams), followed)
+    named = {name for finding in analysed(recording).findings for name in finding.suspects}
+    assert named == set(accused)
+
+
 @pytest.mark.parametrize("first_s", [0.0, 20.0])
 def test_a_compass_that_repeats_one_reading_is_no_anchor(first_s: float) -> None:
     def stuck(field: Floats) -> Floats:
@@ -394,6 +424,7 @@ def test_what_gravity_does_not_show_leaves_the_axis_in_question_known() -> None:
         expected=down,
         compass=np.full_like(down, np.nan),
         by_gps=False,
+        unseen=np.zeros(len(time_s)),
         healthy_rad_s=DEG / 3.0,
     )
     x = np.array([1.0, 0.0, 0.0])
@@ -404,3 +435,27 @@ def test_what_gravity_does_not_show_leaves_the_axis_in_question_known() -> None:
     assert of_any.half_width(x) > 5.0 * DEG
     assert of_x.half_width(x) < 1.0 * DEG
     assert abs(float(x @ of_x.error_rad_s)) < of_x.half_width(x)
+
+
+def test_acceleration_that_the_attitude_does_not_show_leaves_the_tilt_open() -> None:
+    time_s = np.arange(0.25, 60.0, 0.5)
+    down = np.tile([0.0, 0.0, -1.0], (len(time_s), 1))
+    half_width = []
+    for unseen in (0.0, 0.3):
+        anchors = Anchors(
+            time_s=time_s,
+            segment=np.zeros(len(time_s), np.int64),
+            turned=time_s[:, None, None] * np.eye(3),
+            force=down + np.random.default_rng(1).normal(0.0, 0.01, down.shape),
+            expected=down,
+            compass=np.full_like(down, np.nan),
+            by_gps=False,
+            unseen=np.full(len(time_s), unseen),
+            healthy_rad_s=DEG / 3.0,
+        )
+        drift = anchors.drift(15.0, 45.0, 0.99)
+        assert drift is not None
+        half_width.append(drift.half_width(np.array([1.0, 0.0, 0.0])))
+    # A constant 0.3 g leans the vertical by 17 degrees.
+    assert half_width[0] < 0.1 * DEG
+    assert half_width[1] > 17.0 * DEG / 30.0
