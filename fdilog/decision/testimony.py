@@ -151,7 +151,8 @@ def _surely(heard: Mapping[int, Testimony], named: int) -> bool:
     said = heard[named]
     others = [other for channel, other in heard.items() if channel != named]
     if not others:
-        return said.failed
+        # A filter follows a failed gyro, lagging; it does not run ahead of it.
+        return said.failed and said.error * said.anchored > 0.0
     return not any(other.failed for other in others) and all(
         said.borne_out(said.anchored - other.anchored, SURE_ODDS) for other in others
     )

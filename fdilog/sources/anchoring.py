@@ -74,14 +74,16 @@ def anchored(
     upward = 1.0 if float(np.nanmedian(force[:, 2])) > 0 else -1.0
     expected = np.zeros_like(force)
     expected[:, 2] = upward
-    unseen = np.zeros(len(force))
-    accelerated, by_gps = _acceleration_by_gps(recording, edges, zero_ns, force)
+    accelerated, explained = _acceleration_by_gps(recording, edges, zero_ns, force)
     # Only where down is positive is the world north, east, down, as GPS has it.
-    by_gps = by_gps and upward < 0
+    by_gps = explained and upward < 0
+    heard = np.isfinite(accelerated).all(axis=1)
     if by_gps:
-        expected[:, :2] = accelerated
-    else:
-        unseen = np.linalg.norm(accelerated, axis=1)
+        expected[heard, :2] = accelerated[heard]
+    # Where GPS was silent, the vehicle accelerated as it usually did.
+    unseen = np.linalg.norm(np.where(heard[:, None], accelerated, 0.0), axis=1)
+    unseen[~heard] = np.sqrt((unseen[heard] ** 2).mean()) if heard.any() else 0.0
+    unseen[heard & by_gps] = 0.0
     return Anchors(
         time_s=edges[:-1] + CELL_S / 2,
         segment=_segments(attitude, edges),
@@ -170,13 +172,13 @@ def _frozen(time_s: Floats, values: Floats) -> NDArray[np.bool_]:
 def _acceleration_by_gps(
     recording: Recording, edges: Floats, zero_ns: int, force: Floats
 ) -> tuple[Floats, bool]:
-    """Horizontal acceleration (north, east) over gravity, (n_cells, 2); does it explain the force?
+    """Horizontal acceleration (north, east) over gravity, (n, 2), and if it explains the force.
 
-    It does where taking it out leaves less than there was: an accelerometer that vibration spoils,
-    a filter whose yaw is wrong all along, or one that takes the force of a turn for the vertical,
-    is not helped by it.
+    It is not-a-number where GPS was not heard. It explains the force where taking it out leaves
+    less than there was: an accelerometer that vibration spoils, a filter whose yaw is wrong all
+    along, or one that takes the force of a turn for the vertical, is not helped by it.
     """
-    nothing = np.zeros((len(edges) - 1, 2))
+    nothing = np.full((len(edges) - 1, 2), np.nan)
     stream = next((s for s in recording.streams if s.velocity and s.columns), None)
     if stream is None:
         return nothing, False
@@ -196,7 +198,7 @@ def _acceleration_by_gps(
         left = _spread(force[rows, :2] - found[rows])
         if left < least:
             best, least = found, left
-    accelerated = np.where((heard[1:] & heard[:-1])[:, None], best, 0.0)
+    accelerated = np.where((heard[1:] & heard[:-1])[:, None], best, np.nan)
     return accelerated, least < _spread(force[rows, :2])
 
 

@@ -177,6 +177,7 @@ def turned_back(table: ChannelTable, found: Sequence[Mounting]) -> ChannelTable:
 def mounting_findings(table: ChannelTable, found: Sequence[Mounting]) -> list[Finding]:
     """Turn mountings into findings, one for each device and span."""
     findings = []
+    alone = len({channel.source for channel in table.gyros.channels}) == 1
     for one in found:
         differs = one.turn.differs
         proper = bool((np.linalg.det(one.turn.standing) > 0).any())
@@ -196,7 +197,7 @@ def mounting_findings(table: ChannelTable, found: Sequence[Mounting]) -> list[Fi
                 end_s=float(table.time_s[one.stop - 1]),
                 detectors=(DETECTOR,),
                 witness=one.witness,
-                detail=described(one.turn, one.source, one.among, one.witness),
+                detail=described(one.turn, one.source, one.among, one.witness, alone=alone),
                 one_source=len(one.among) == 1,
             )
         )

@@ -18,7 +18,9 @@ SMALL = 0.1
 """Parts of an axis below this are not written: the rest is misalignment."""
 
 
-def described(turn: Turn, source: str, among: Sequence[str], witness: str | None) -> str:
+def described(
+    turn: Turn, source: str, among: Sequence[str], witness: str | None, *, alone: bool = False
+) -> str:
     """Say how a device is mounted, as far as its rates tell.
 
     Parameters
@@ -29,11 +31,15 @@ def described(turn: Turn, source: str, among: Sequence[str], witness: str | None
         The devices that may be the one.
     witness
         The derived source that told which.
+    alone
+        Whether there is no other device, and it is held against that source alone.
     """
     said = f"{source} {_words(turn)}"
     if len(among) > 1:
         said = f"as {_listed([one for one in among if one != source])} sees it, {said}"
-    if witness:
+    if alone:
+        said += ", or the attitude is, with which alone it was compared"
+    elif witness:
         said += "; the attitude tells that it is the one"
     return f"{said}; the comparison goes on with its rates turned back"
 
