@@ -77,13 +77,15 @@ def anchored(
     accelerated, explained = _acceleration_by_gps(recording, edges, zero_ns, force)
     # Only where down is positive is the world north, east, down, as GPS has it.
     by_gps = explained and upward < 0
-    heard = np.isfinite(accelerated).all(axis=1)
+    heard = np.asarray(np.isfinite(accelerated).all(axis=1), bool)
     if by_gps:
         expected[heard, :2] = accelerated[heard]
     # Where GPS was silent, the vehicle accelerated as it usually did.
-    unseen = np.linalg.norm(np.where(heard[:, None], accelerated, 0.0), axis=1)
-    unseen[~heard] = np.sqrt((unseen[heard] ** 2).mean()) if heard.any() else 0.0
-    unseen[heard & by_gps] = 0.0
+    size = np.linalg.norm(accelerated, axis=1)
+    size[~heard] = np.sqrt((size[heard] ** 2).mean()) if heard.any() else 0.0
+    # An attitude that does not know north shows the same acceleration in another direction.
+    shown = size if by_gps else np.nan_to_num(np.linalg.norm(force[:, :2], axis=1))
+    unseen = np.where(heard, np.maximum(size - shown, 0.0), size)
     return Anchors(
         time_s=edges[:-1] + CELL_S / 2,
         segment=_segments(attitude, edges),
