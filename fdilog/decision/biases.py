@@ -149,39 +149,41 @@ def _bridged(table: ChannelTable, faults: Sequence[Fault], config: Config) -> li
     """
     kept: list[Fault] = []
     for fault in faults:
-        for k, other in enumerate(kept):
-            whole = replace(
-                other,
-                shape=replace(other.shape, stop=max(fault.stop, other.stop)),
-                longest_s=max(fault.longest_s, other.longest_s),
-                removed=fault.removed & other.removed,
-            )
-            if _same_bias(table, other, fault, whole, config):
-                kept[k] = whole
-                break
-        else:
+        # The last of the same suspects: with another in the hole, it is no hole.
+        last = max((k for k, one in enumerate(kept) if one.suspects == fault.suspects), default=-1)
+        whole = None if last < 0 else _one_bias(table, kept[last], fault, config)
+        if whole is None:
             kept.append(fault)
+        else:
+            kept[last] = whole
     return kept
 
 
-def _same_bias(
-    table: ChannelTable, one: Fault, next_one: Fault, whole: Fault, config: Config
-) -> bool:
-    """Tell whether two biases and the hole between them are one."""
-    if one.suspects != next_one.suspects or {one.shape.kind, next_one.shape.kind} != {"bias"}:
-        return False
-    if next_one.start <= one.stop:
-        return False
+def _one_bias(table: ChannelTable, one: Fault, next_one: Fault, config: Config) -> Fault | None:
+    """Join two biases and the hole between them, if they are one."""
+    if {one.shape.kind, next_one.shape.kind} != {"bias"} or next_one.start <= one.stop:
+        return None
+    whole = replace(
+        one,
+        shape=replace(one.shape, stop=max(one.stop, next_one.stop)),
+        longest_s=max(one.longest_s, next_one.longest_s),
+        removed=one.removed & next_one.removed,
+    )
     hole = replace(one, shape=replace(one.shape, start=one.stop, stop=next_one.start))
-    sizes = [_size(table, fault, config) for fault in (one, hole, next_one, whole)]
-    before, inside, after, all_of_it = sizes
-    if before is None or inside is None or after is None or all_of_it is None:
-        return False
+    low, high = -np.inf, np.inf
+    for part in (one, next_one, hole):
+        size = _size(table, part, config)
+        if size is None:
+            return None
+        low, high = max(low, size.low), min(high, size.high)
+        if low > high:
+            return None
+        inside = size
     tolerance = np.radians(config.tolerance.bias_deg_s)
-    sound = max(abs(inside.low), abs(inside.high)) <= tolerance
-    alike = max(before.low, inside.low, after.low) <= min(before.high, inside.high, after.high)
-    beyond = max(all_of_it.low, -all_of_it.high) > tolerance
-    return alike and beyond and not sound
+    all_of_it = _size(table, whole, config)
+    if all_of_it is None or max(abs(inside.low), abs(inside.high)) <= tolerance:
+        return None
+    return whole if max(all_of_it.low, -all_of_it.high) > tolerance else None
 
 
 def finding_of(table: ChannelTable, fault: Fault, config: Config) -> Finding:
