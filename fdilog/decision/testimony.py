@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,8 @@ Floats = NDArray[np.float64]
 
 ANCHOR_CONFIDENCE = 0.99
 """The anchors choose between the suspects of a fault that is found already, of which a flight has a
-few, not thousands; and they are not the only lock."""
-ANCHOR_SIGMAS = 2.576
-"""Of the normal distribution, at that confidence."""
+few, not thousands; and they are not the only lock. Of a gyro alone either it or the attitude is
+off, and attitudes are more often: then the configured confidence of windows holds."""
 MOST_DOUBT_RAD = np.pi / 2.0
 """Anchors that leave open whether a direction turned by a right angle meanwhile tell nothing: how
 directions move was taken as linear."""
@@ -68,6 +68,8 @@ class Testimony:
         What errors are held against. [rad/s]
     thirds
         Mean difference from the attitude in each third of the span, less the usual one. [rad/s]
+    confidence
+        Of the interval of what the anchors say.
     """
 
     error: float
@@ -77,6 +79,7 @@ class Testimony:
     anchored_half_width: float
     tolerance: float
     thirds: tuple[float, float, float]
+    confidence: float
 
     @property
     def failed(self) -> bool:
@@ -96,7 +99,7 @@ class Testimony:
 
     def borne_out(self, step: float, odds: float) -> bool:
         """Whether anchors make it so much likelier that it is off by a step than not at all."""
-        anchors = self.anchored_half_width / ANCHOR_SIGMAS
+        anchors = self.anchored_half_width / NormalDist().inv_cdf(0.5 + self.confidence / 2.0)
         doubt = math.hypot(anchors, self.tolerance / TOLERANCE_SIGMAS)
         return step * (2.0 * self.anchored - step) / (2.0 * doubt**2) > math.log(odds)
 
@@ -126,8 +129,9 @@ def hear(
         Columns of gyros.
     """
     heard: dict[int, Testimony] = {}
+    sure = ANCHOR_CONFIDENCE if len(suspects) > 1 else config.windows.confidence
     for channel in suspects:
-        said = testimony(witness, table, channel, span, config)
+        said = testimony(witness, table, channel, span, config=config, confidence=sure)
         if said is None:
             return Statement(named=None, detail="the attitude has no anchor over so short a time")
         heard[channel] = said
@@ -176,7 +180,13 @@ def _stepped(
 
 
 def testimony(
-    witness: Witness, table: ChannelTable, channel: int, span: tuple[int, int], config: Config
+    witness: Witness,
+    table: ChannelTable,
+    channel: int,
+    span: tuple[int, int],
+    *,
+    config: Config,
+    confidence: float,
 ) -> Testimony | None:
     """Hold one gyro against the attitude over a span, or nothing where that is not possible."""
     start_s, end_s = float(table.time_s[span[0]]), float(table.time_s[span[1] - 1])
@@ -196,15 +206,15 @@ def testimony(
     # Either the gyro is right, or the attitude.
     guesses = (np.zeros(3), mean * axis)
     drift = anchors.drift(
-        start_s, end_s, ANCHOR_CONFIDENCE, path=path, axis=doubted, guesses_rad_s=guesses
+        start_s, end_s, confidence, path=path, axis=doubted, guesses_rad_s=guesses
     )
-    of_attitude = anchors.drift(start_s, end_s, ANCHOR_CONFIDENCE, axis=doubted)
+    of_attitude = anchors.drift(start_s, end_s, confidence, axis=doubted)
     if drift is None or of_attitude is None:
         return None
     anchored, doubt = float(axis @ drift.error_rad_s), drift.half_width(axis)
     bias = np.radians(config.tolerance.bias_deg_s)
     tolerance = float(np.hypot(bias, config.tolerance.scale * float(along[rows].mean())))
-    of_mean = looks.half_width(np.ones(1), ANCHOR_CONFIDENCE)[0]
+    of_mean = looks.half_width(np.ones(1), confidence)[0]
     if of_attitude.within(axis, tolerance) and of_mean < doubt:
         # Where the attitude was right for sure, the gyro is off by what they differ by, whatever it
         # does beside the span.
@@ -222,6 +232,7 @@ def testimony(
         anchored_half_width=doubt if doubt * (end_s - start_s) < MOST_DOUBT_RAD else math.inf,
         tolerance=tolerance,
         thirds=(first, middle, last),
+        confidence=confidence,
     )
 
 
