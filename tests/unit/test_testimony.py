@@ -34,6 +34,7 @@ def said(
         anchored_half_width=doubt_deg_s * DEG,
         tolerance=1.0 * DEG,
         thirds=(first, middle, last),
+        confidence=testimony.ANCHOR_CONFIDENCE,
     )
 
 
@@ -78,7 +79,9 @@ def test_anchors_that_tell_nothing_bear_nothing_out() -> None:
 def named(monkeypatch: pytest.MonkeyPatch, *each: testimony.Testimony) -> int | None:
     """Whom the attitude names if it says this of each of some gyros, over ten seconds."""
     table = triads(2, seconds=10.0)
-    monkeypatch.setattr(testimony, "testimony", lambda _w, _t, channel, _s, _c: each[channel // 3])
+    monkeypatch.setattr(
+        testimony, "testimony", lambda _w, _t, channel, _s, **_how: each[channel // 3]
+    )
     suspects = range(0, 3 * len(each), 3)
     whole = (0, len(table.time_s))
     return testimony.hear(cast("Witness", None), table, suspects, whole, Config()).named
@@ -116,3 +119,27 @@ def test_a_gyro_is_not_named_against_the_attitude_as_it_is(monkeypatch: pytest.M
 def test_a_gyro_alone_must_be_beyond_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
     assert named(monkeypatch, said(3.0, 1.0, 3.0, anchored_deg_s=2.0, doubt_deg_s=1.1)) is None
     assert named(monkeypatch, said(3.0, 1.0, 3.0, anchored_deg_s=2.0, doubt_deg_s=0.9)) == 0
+
+
+def test_a_gyro_alone_is_off_on_the_side_on_which_the_attitude_leaves_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert named(monkeypatch, said(-3.0, -1.0, -3.0, anchored_deg_s=4.0, doubt_deg_s=0.9)) is None
+    assert named(monkeypatch, said(-3.0, -1.0, -3.0, anchored_deg_s=-4.0, doubt_deg_s=0.9)) == 0
+
+
+@pytest.mark.parametrize(("suspects", "confidence"), [((0,), 0.999), ((0, 3), 0.99)])
+def test_a_gyro_alone_is_named_at_the_confidence_of_windows(
+    monkeypatch: pytest.MonkeyPatch, suspects: tuple[int, ...], confidence: float
+) -> None:
+    asked: list[float] = []
+
+    def heard(*_what: object, config: Config, confidence: float) -> testimony.Testimony:
+        assert config == Config()
+        asked.append(confidence)
+        return said(0.0, 0.0, 0.0)
+
+    monkeypatch.setattr(testimony, "testimony", heard)
+    table = triads(2, seconds=10.0)
+    testimony.hear(cast("Witness", None), table, suspects, (0, len(table.time_s)), Config())
+    assert asked == [confidence] * len(suspects)
