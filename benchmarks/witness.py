@@ -144,7 +144,8 @@ def flown(recording: Recording) -> list[tuple[float, float]]:
     """Stretches of the gyros without a hole that can hold the fault, in flight time. [s]"""
     times = np.sort(np.concatenate([g.time_ns for g in choose(recording, CONFIG)[0]])) / 1e9
     times -= times[0]
-    breaks = np.flatnonzero(np.diff(times) > 1.0)
+    steps = np.diff(times)
+    breaks = np.flatnonzero(steps > max(1.0, HOLE_PERIODS * float(np.median(steps[steps > 0]))))
     starts = np.append(times[0], times[breaks + 1])
     ends = np.append(times[breaks], times[-1])
     return [(a, b) for a, b in zip(starts, ends, strict=True) if b - a > DURATION_S + 1.0]

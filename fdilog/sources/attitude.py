@@ -89,14 +89,25 @@ def matrices(q: Floats) -> Floats:
     )
 
 
-def rotation_vectors(q: Floats) -> Floats:
+def rotation_vectors(q: Floats, beyond: Floats | None = None) -> Floats:
     """Turn from each attitude to the next, in body axes, (n - 1, 3). [rad]
 
     It is the logarithm of ``R1' R2``, the shortest turn there is between the two, so neither the
     wrap of an angle nor gimbal lock shows in it.
+
+    Parameters
+    ----------
+    q : (n, 4)
+        Attitudes.
+    beyond : (n - 1, 3)
+        Rotation vectors of turns that each step begins with; only what is beyond them is returned.
+        [rad]
     """
     inverse = q[:-1] * np.array([1.0, -1.0, -1.0, -1.0])
     step = product(inverse, q[1:])
+    if beyond is not None:
+        half = np.linalg.norm(beyond, axis=1, keepdims=True) / 2.0
+        step = product(np.hstack([np.cos(half), -beyond * np.sinc(half / np.pi) / 2.0]), step)
     step = np.where(step[:, :1] < 0, -step, step)
     sine = np.linalg.norm(step[:, 1:], axis=1)
     angle = 2.0 * np.arctan2(sine, step[:, 0])

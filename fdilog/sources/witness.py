@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 
 SOURCE = "att"
 FEWEST_ATTITUDES = 50
-SLOWEST_HZ = 2.0
-"""Between slower attitudes a vehicle turns back and forth, which no rotation vector shows."""
+SLOWEST_HZ = 0.9
+"""Telemetry sends attitudes once a second at the slowest; some are lost."""
 
 LEAST_TILT = 1e-9
 """What rounding makes of the cosine of a tilt that is none."""
@@ -47,6 +47,9 @@ JUMP_RAD = np.radians(5.0)
 """A step that turns so much further than any gyro says, and than the steps beside it do, is a jump:
 a lane switch, a reset of yaw."""
 JUMP_SIGMAS = 10.0
+WHIRL_RAD = np.pi / 2
+"""A turn by more than that between two attitudes, on which gyros and attitude agree to a half of
+it, is too large for a rotation vector to tell the mean of body rates."""
 LONGEST_JUMP = 2
 BESIDE = 5
 """A jump is one step, or two where it falls between; what goes on for longer is another rate, and
@@ -131,7 +134,7 @@ def find_witness(
     if isinstance(attitude, str):
         return attitude
     attitude, clock = _aligned(attitude, table, config)
-    attitude = _without_jumps(attitude, table)
+    attitude = _marked(attitude, table)
     turn = rotation_vectors(attitude.quaternion)
     rate, valid = mean_rates(attitude.time_s, turn, attitude.sound, table.time_s)
     columns = np.column_stack([valid, valid, valid])
@@ -258,28 +261,33 @@ def _aligned(
     return attitude, None
 
 
-def _without_jumps(attitude: Attitude, table: ChannelTable) -> Attitude:
-    """Mark steps in which the attitude jumps away from what every gyro says."""
-    turn = rotation_vectors(attitude.quaternion)
-    apart = np.full(len(turn), np.inf)
+def _marked(attitude: Attitude, table: ChannelTable) -> Attitude:
+    """Mark steps in which the attitude jumps away from what every gyro says, or whirls."""
+    apart = np.full(len(attitude.sound), np.inf)
+    whirl = np.zeros(len(apart), bool)
     for rows, rate in triads(table):
         time_s = table.time_s[rows]
         steps = np.diff(time_s)
         path = np.zeros((len(time_s), 3))
         np.cumsum((rate[1:] + rate[:-1]) / 2 * steps[:, None], axis=0, out=path[1:])
         turned = np.column_stack([np.interp(attitude.time_s, time_s, p) for p in path.T])
-        further = turn - np.diff(turned, axis=0)
+        turn = np.diff(turned, axis=0)
+        further = rotation_vectors(attitude.quaternion, beyond=turn)
+        whirl |= (np.linalg.norm(turn, axis=1) > WHIRL_RAD) & (
+            np.linalg.norm(further, axis=1) < WHIRL_RAD / 2
+        )
         far = np.flatnonzero(np.linalg.norm(further, axis=1) > JUMP_RAD)
         around = np.pad(further, ((BESIDE, BESIDE), (0, 0)), mode="edge")
         beside = around[far[:, None] + np.arange(2 * BESIDE + 1)]
         further[far] -= np.median(beside, axis=1)
         apart = np.minimum(apart, np.linalg.norm(further, axis=1))
+    sound = attitude.sound & ~whirl
     if not bool(np.isfinite(apart).all()):
         return attitude
-    usual = float(np.median(apart[attitude.sound])) if attitude.sound.any() else 0.0
-    steps_away = attitude.sound & (apart > max(JUMP_RAD, JUMP_SIGMAS * usual))
+    usual = float(np.median(apart[sound])) if sound.any() else 0.0
+    steps_away = sound & (apart > max(JUMP_RAD, JUMP_SIGMAS * usual))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], steps_away.astype(np.int8), [0]])))
     jump = np.zeros(len(apart), bool)
     for start, stop in edges.reshape(-1, 2):
         jump[start:stop] = stop - start <= LONGEST_JUMP
-    return replace(attitude, sound=attitude.sound & ~jump)
+    return replace(attitude, sound=sound & ~jump)

@@ -44,6 +44,13 @@ def test_rotation_vectors_are_those_of_scipy_in_body_axes() -> None:
     np.testing.assert_allclose(rotation_vectors(q), expected, atol=1e-9)
 
 
+def test_a_step_beyond_another_turn_is_what_scipy_leaves_of_it() -> None:
+    q, official = attitudes()
+    vectors = np.random.default_rng(4).normal(0.0, 5.0, (len(q) - 1, 3))
+    left = Rotation.from_rotvec(vectors).inv() * official[:-1].inv() * official[1:]
+    np.testing.assert_allclose(rotation_vectors(q, beyond=vectors), left.as_rotvec(), atol=1e-7)
+
+
 def test_yaw_that_wraps_is_a_small_turn() -> None:
     q = from_euler(np.radians([[0.0, 0.0, 359.5], [0.0, 0.0, 0.5]]))
     np.testing.assert_allclose(np.degrees(rotation_vectors(q)), [[0.0, 0.0, 1.0]], atol=1e-9)

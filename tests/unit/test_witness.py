@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fdilog.analysis import Analysis, analyse, analyse_recording
 from fdilog.config import Config
@@ -307,6 +308,60 @@ def test_a_lane_switch_is_no_rate() -> None:
     assert 0 < (~analysis.table.valid[:, column]).sum() < 25
     assert np.nanmax(np.abs(analysis.table.rate_rad_s[:, column])) < 100 * DEG
     assert analysis.findings == ()
+
+
+def every(n: int) -> Callable[[Stream], Stream]:
+    """Make an attitude of which one record in so many is left."""
+
+    def make(stream: Stream) -> Stream:
+        columns = {name: column[::n] for name, column in stream.columns.items()}
+        return replace(stream, time_ns=stream.time_ns[::n], columns=columns)
+
+    return make
+
+
+def test_an_attitude_once_a_second_is_a_witness() -> None:
+    finding = only(analysed(with_attitude(flown(2, "imu1.x").recording(), every(10))))
+    assert finding.suspects == ("imu1.x",)
+
+
+def whirling(turn_deg_s: float, hz: float) -> Recording:
+    """A healthy flight that spins for ten seconds, with an attitude of so many a second."""
+    recording = flown(1).recording()
+    imu = next(s for s in recording.streams if s.gyro)
+    time_s = np.arange(0.0, 180.0, 0.01)
+    swings = ((8.0, 0.9, 1.0), (7.0, 0.7, 0.0), (10.0, 0.23, 0.0))
+    rate = np.column_stack([a * np.sin(f * time_s + p) for a, f, p in swings]) * DEG
+    rate[(time_s > 90.0) & (time_s < 100.0), 2] += turn_deg_s * DEG
+    pose = [Rotation.identity()]
+    for step in Rotation.from_rotvec(rate[:-1] * 0.01):
+        pose.append(pose[-1] * step)
+    poses = Rotation.concatenate(pose)
+    rng = np.random.default_rng(5)
+    gyro = rate + rng.normal(0.0, 0.2 * DEG, rate.shape)
+    force = poses.inv().apply([0.0, 0.0, -9.8]) + rng.normal(0.0, 0.3, rate.shape)
+    names = (*imu.gyro, *imu.accelerometer)
+    columns = dict(zip(names, np.hstack([gyro, force]).T, strict=True))
+    time_ns = np.round(time_s * 1e9).astype(np.int64)
+    n = round(100.0 / hz)
+    roll, pitch, yaw = poses.as_euler("ZYX")[::n, ::-1].T
+    attitude = next(s for s in recording.streams if s.origin == "derived")
+    angles = {"roll": roll, "pitch": pitch, "yaw": yaw}
+    return replace(
+        recording,
+        streams=(
+            replace(imu, time_ns=time_ns, columns=columns, compass=()),
+            replace(attitude, time_ns=time_ns[::n], columns=angles),
+        ),
+    )
+
+
+@pytest.mark.parametrize("turn_deg_s", [300.0, 700.0])
+@pytest.mark.parametrize("hz", [1.0, 2.0])
+def test_a_spin_that_no_attitude_can_follow_accuses_no_gyro(turn_deg_s: float, hz: float) -> None:
+    analysis = analysed(whirling(turn_deg_s, hz))
+    assert not analysis.findings
+    assert "failed" not in analysis.status
 
 
 def test_attitudes_that_are_missing_are_not_valid() -> None:
