@@ -25,6 +25,7 @@ from fdilog.decision.verdict import channel_status, with_witness
 from fdilog.finding import Evidence, Finding, Status
 from fdilog.maths.geometry import blocks, detectable
 from fdilog.registry import Detector, detectors, plugins
+from fdilog.sources.gains import gain_findings, gains, rescaled
 from fdilog.sources.mounting import mounting_findings, mountings, turned_back
 from fdilog.sources.witness import Witness
 from fdilog.table import ChannelTable
@@ -52,9 +53,9 @@ def judge(
 ) -> Judgement:
     """Run the detectors on a table and decide.
 
-    First of all every device is brought into the mounting that its rates show. Detectors that judge
-    each channel by itself go next. What they accuse is kept out of the comparisons, so that one
-    fault gives one finding and drags no other channel along.
+    First of all every device is brought into the unit and the mounting that its rates show.
+    Detectors that judge each channel by itself go next. What they accuse is kept out of the
+    comparisons, so that one fault gives one finding and drags no other channel along.
 
     The gyros decide among themselves. Derived channels are compared only with gyros that no other
     gyro checks, and else only heard where the gyros leave several suspects.
@@ -62,6 +63,8 @@ def judge(
     names = config.detectors.use or _default_order(plugins("detectors"))
     chosen = list(detectors(names))
     progress("mounting")
+    multiplied = gains(table)
+    table = rescaled(table, multiplied)
     mounted = mountings(table, one_frame=witness is None or witness.one_frame)
     table = turned_back(table, mounted.found)
     gyros = heard = table.gyros
@@ -79,7 +82,8 @@ def judge(
     if witness is not None:
         heard = testified.columns(compared_channels(testified))
     sound, calibration, compared = _compared(heard, chosen, config, progress)
-    calibration = with_notes(calibration, mounted.notes())
+    notes = {one.source: one.note for one in multiplied} | mounted.notes()
+    calibration = with_notes(calibration, notes)
     sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
     for name, detector in chosen:
@@ -102,6 +106,7 @@ def judge(
         *guaranteed_findings(heard, sampled, biased, config),
     ]
     findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
+    findings += gain_findings(table, multiplied)
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
     decided = dict(zip(sound.names, channel_status(sound, compared, findings), strict=True))
     status: tuple[Status, ...] = tuple(decided.get(name, "insufficient") for name in table.names)

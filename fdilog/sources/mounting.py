@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import Finding
+from fdilog.sources.devices import Devices, centred, triads_of
 from fdilog.sources.mounting_words import AXES, described
 from fdilog.sources.turned import (
     CELL_S,
-    FIT,
     LEAST_GAIN,
-    LEAST_MOTION_RAD_S,
     Cells,
     Turn,
     turns,
@@ -34,9 +33,6 @@ Floats = NDArray[np.float64]
 DETECTOR = "mounting"
 ASTRAY_S = 20.0
 """An attitude that is corrected with a time constant of some seconds is back after so long."""
-
-FEWEST_IN_CELL = 0.5
-"""A cell needs half of its usual readings; the mean over fewer belongs to another time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,19 +104,19 @@ def mountings(table: ChannelTable, *, one_frame: bool = True) -> Mountings:
     A single device has only the attitude to be held against, and an attitude that was led astray
     turns otherwise than its gyro too: for a while, and by any angle.
     """
-    flight = _Flight.of(table)
+    flight = Devices.of(table)
     found = sorted(
         (
             _decided(flight, source, others, turn)
             for source, others in flight.compared()
             for turn in turns(flight.reference(others), flight.means[source])
-            if not flight.disputed(others, turn)
+            if not _disputed(flight, others, turn)
             if others != flight.derived or _lasting(turn, one_frame)
         ),
         key=lambda one: (one.start, one.source),
     )
     if found:
-        flight = _Flight.of(turned_back(table, found))
+        flight = Devices.of(turned_back(table, found))
     untold = (
         (source, untold_axes(flight.reference(others), flight.means[source]))
         for source, others in flight.compared()
@@ -147,7 +143,7 @@ def turned_back(table: ChannelTable, found: Sequence[Mounting]) -> ChannelTable:
     are; one that begins or ends in flight has its readings turned back meanwhile.
     """
     for one in found:
-        columns = _triads(table)[one.source]
+        columns = triads_of(table)[one.source]
         axes = table.axes[columns]
         matrix = one.turn.matrix
         if one.start == 0 and one.stop == len(table.time_s):
@@ -204,128 +200,49 @@ def mounting_findings(table: ChannelTable, found: Sequence[Mounting]) -> list[Fi
     return findings
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Flight:
-    """Every triad of a table, sample by sample and cell by cell.
-
-    Parameters
-    ----------
-    cell : (n_samples,)
-        Number of the cell of each sample.
-    rate, means : each (n_samples, 3), (n_cells, 3)
-        Body rate by each triad, not-a-number where there is none. [rad/s]
-    """
-
-    table: ChannelTable
-    gyros: list[str]
-    derived: list[str]
-    cell: NDArray[np.int64]
-    rate: dict[str, Floats]
-    means: dict[str, Floats]
-
-    @classmethod
-    def of(cls, table: ChannelTable) -> _Flight:
-        cell = _cells(table)
-        rate: dict[str, Floats] = {}
-        gyros: list[str] = []
-        derived: list[str] = []
-        for name, columns in _triads(table).items():
-            rate[name] = table.rate_rad_s[:, columns] @ np.linalg.inv(table.axes[columns]).T
-            (derived if table.channels[columns[0]].derived else gyros).append(name)
-        means = {name: _cell_means(cell, one) for name, one in rate.items()}
-        return cls(table=table, gyros=gyros, derived=derived, cell=cell, rate=rate, means=means)
-
-    def compared(self) -> list[tuple[str, list[str]]]:
-        """List every device that can be compared, and with which others."""
-        if len(self.gyros) == 1:
-            return [(self.gyros[0], self.derived)] if self.derived else []
-        # Of two devices each is turned against the other; asking once will do.
-        asked = self.gyros if len(self.gyros) > 2 else self.gyros[1:]
-        return [(name, [other for other in self.gyros if other != name]) for name in asked]
-
-    def reference(self, names: Sequence[str]) -> Floats:
-        """Mean body rate of several devices in the cells in which they agree, (n_cells, 3)."""
-        centred = np.array([_centred(self.means[name]) for name in names])
-        middle = np.asarray(centred.mean(axis=0))
-        apart = np.linalg.norm(centred - middle, axis=2).max(axis=0)
-        with np.errstate(invalid="ignore"):
-            alike = apart < np.maximum(LEAST_MOTION_RAD_S, FIT * np.linalg.norm(middle, axis=1))
-        return np.where(np.asarray(alike, bool)[:, None], middle, np.nan)
-
-    def disputed(self, names: Sequence[str], turn: Turn) -> bool:
-        """Whether some of these are turned against one another meanwhile: no reference then."""
-        return any(
-            other.first < turn.last and other.last > turn.first
-            for a, b in combinations(names, 2)
-            for other in turns(self.means[a], self.means[b])
-        )
-
-    def odds(self, source: str, turn: Turn) -> float:
-        """Tell how much better than the identity a mounting explains a device by the attitude."""
-        cells = Cells.of(self.means[self.derived[0]], self.means[source], (turn.matrix,))
-        return cells.gained(turn.first, turn.last)
-
-    def edge(
-        self, cells: tuple[int, int], source: str, others: Sequence[str], turn: Turn
-    ) -> Floats:
-        """By how much a mounting lessens the sum of squares up to each sample of some cells."""
-        inside = np.flatnonzero((self.cell >= cells[0]) & (self.cell <= cells[1]))
-        reading = _centred(self.rate[source])[inside]
-        rate = np.mean([_centred(self.rate[name])[inside] for name in others], axis=0)
-        left = (reading - rate) ** 2 - (reading - rate @ turn.matrix.T) ** 2
-        known = np.isfinite(left).all(axis=1)
-        gain = np.where(known, np.where(known[:, None], left, 0.0).sum(axis=1), 0.0)
-        return np.concatenate([[0.0], np.cumsum(gain)])
-
-    def span(self, source: str, others: Sequence[str], turn: Turn) -> tuple[int, int]:
-        """First sample of a mounting, and one past its last: the edges of least squares."""
-        start, stop = np.searchsorted(self.cell, [turn.first, turn.last])
-        if turn.begins is not None:
-            start = np.searchsorted(self.cell, turn.begins[0])
-            start += self.edge(turn.begins, source, others, turn).argmin()
-        if turn.ends is not None:
-            stop = np.searchsorted(self.cell, turn.ends[0])
-            stop += self.edge(turn.ends, source, others, turn).argmax()
-        return int(start), int(stop)
+def _disputed(flight: Devices, names: Sequence[str], turn: Turn) -> bool:
+    """Whether some of these are turned against one another meanwhile: no reference then."""
+    return any(
+        other.first < turn.last and other.last > turn.first
+        for a, b in combinations(names, 2)
+        for other in turns(flight.means[a], flight.means[b])
+    )
 
 
-def _triads(table: ChannelTable) -> dict[str, list[int]]:
-    """Columns of every source of three gyros that sense three axes."""
-    found = {}
-    for source in dict.fromkeys(channel.source for channel in table.channels):
-        columns = [k for k, channel in enumerate(table.channels) if channel.source == source]
-        if len(columns) == 3 and np.linalg.matrix_rank(table.axes[columns]) == 3:
-            found[source] = columns
-    return found
+def _odds(flight: Devices, source: str, turn: Turn) -> float:
+    """Tell how much better than the identity a mounting explains a device by the attitude."""
+    cells = Cells.of(flight.means[flight.derived[0]], flight.means[source], (turn.matrix,))
+    return cells.gained(turn.first, turn.last)
 
 
-def _cells(table: ChannelTable) -> NDArray[np.int64]:
-    """Cell of each sample; a hole of any length is one cell, so that it costs nothing."""
-    number = np.floor(table.time_s / CELL_S).astype(np.int64)
-    steps = np.minimum(np.diff(number), 2)
-    return np.concatenate([np.zeros(min(len(number), 1), np.int64), np.cumsum(steps)])
+def _edge(
+    flight: Devices, cells: tuple[int, int], source: str, others: Sequence[str], turn: Turn
+) -> Floats:
+    """By how much a mounting lessens the sum of squares up to each sample of some cells."""
+    inside = np.flatnonzero((flight.cell >= cells[0]) & (flight.cell <= cells[1]))
+    reading = centred(flight.rate[source])[inside]
+    rate = np.mean([centred(flight.rate[name])[inside] for name in others], axis=0)
+    left = (reading - rate) ** 2 - (reading - rate @ turn.matrix.T) ** 2
+    known = np.isfinite(left).all(axis=1)
+    gain = np.where(known, np.where(known[:, None], left, 0.0).sum(axis=1), 0.0)
+    return np.concatenate([[0.0], np.cumsum(gain)])
 
 
-def _cell_means(cell: NDArray[np.int64], rate: Floats) -> Floats:
-    """Mean body rate in each cell, (n_cells, 3)."""
-    n = int(cell[-1]) + 1 if len(cell) else 0
-    known = np.asarray(np.isfinite(rate).all(axis=1), bool)
-    count = np.bincount(cell[known], minlength=n)
-    sums = [np.bincount(cell[known], weights=one, minlength=n) for one in rate[known].T]
-    usual = float(np.median(count[count > 0])) if count.any() else 1.0
-    means = np.column_stack(sums) / np.maximum(count, 1)[:, None]
-    return np.where((count > FEWEST_IN_CELL * usual)[:, None], means, np.nan)
+def _span(flight: Devices, source: str, others: Sequence[str], turn: Turn) -> tuple[int, int]:
+    """First sample of a mounting, and one past its last: the edges of least squares."""
+    start, stop = np.searchsorted(flight.cell, [turn.first, turn.last])
+    if turn.begins is not None:
+        start = np.searchsorted(flight.cell, turn.begins[0])
+        start += _edge(flight, turn.begins, source, others, turn).argmin()
+    if turn.ends is not None:
+        stop = np.searchsorted(flight.cell, turn.ends[0])
+        stop += _edge(flight, turn.ends, source, others, turn).argmax()
+    return int(start), int(stop)
 
 
-def _centred(rate: Floats) -> Floats:
-    """Rates less their median over the flight, so that a constant offset is none."""
-    known = np.isfinite(rate).all(axis=1)
-    return np.asarray(rate - np.median(rate[known], axis=0)) if known.any() else rate
-
-
-def _decided(flight: _Flight, source: str, others: Sequence[str], turn: Turn) -> Mounting:
+def _decided(flight: Devices, source: str, others: Sequence[str], turn: Turn) -> Mounting:
     """Say who is turned: the one against several that agree, or whom the attitude names."""
-    start, stop = flight.span(source, others, turn)
+    start, stop = _span(flight, source, others, turn)
     one = Mounting(source=source, among=(source,), start=start, stop=stop, turn=turn)
     if others == flight.derived:
         return replace(one, witness=flight.derived[0])
@@ -334,8 +251,8 @@ def _decided(flight: _Flight, source: str, others: Sequence[str], turn: Turn) ->
     if not flight.derived:
         return unwitnessed
     back = replace(turn, matrix=turn.matrix.T, standing=np.swapaxes(turn.standing, 1, 2))
-    odds = {source: flight.odds(source, turn)}
-    odds |= {name: flight.odds(name, back) for name in others}
+    odds = {source: _odds(flight, source, turn)}
+    odds |= {name: _odds(flight, name, back) for name in others}
     turned = {name for name, value in odds.items() if value > LEAST_GAIN}
     sound = {name for name, value in odds.items() if value < -LEAST_GAIN}
     if turned == {source} and sound == set(others):
