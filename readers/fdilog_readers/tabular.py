@@ -5,9 +5,11 @@ unit is no angular rate (``ax [m/s^2]``) are read but are no gyros. Channels are
 headers say, without the unit.
 
 A name with a dot belongs to the source before its last dot: ``imu0.x``, ``imu0.y`` and ``imu0.z``
-are the stream ``imu0`` with fields x, y, z. All names without a dot are one stream, ``table``. A
-row in which a stream has no reading at all is no record of it, so a source that is slower than the
-table, or falls silent, is seen to do so.
+are the stream ``imu0`` with fields x, y, z. So are, where there are several, three gyros beside
+each other whose names differ in x, y and z alone: ``gyro1_x``, ``gyro1_y``, ``gyro1_z`` are
+``gyro1``, and ``gx1``, ``gy1``, ``gz1`` are ``g1``. All other names without a dot are one stream,
+``table``. A row in which a stream has no reading at all is no record of it, so a source that is
+slower than the table, or falls silent, is seen to do so.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ description = "Table of gyro channels (CSV, Parquet)"
 TIME = "time_s"
 UNDOTTED = "table"
 HEADER = re.compile(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))")
+AXIS = re.compile(r"(.*?)([xyz])([_ ]?\d*)", re.IGNORECASE)
 RATE_RAD_S = {
     "rad/s": 1.0,
     "mrad/s": 1e-3,
@@ -90,10 +93,6 @@ class _Column:
     values: NDArray[np.float64]
 
     @property
-    def source(self) -> str:
-        return self.name.rpartition(".")[0] or UNDOTTED
-
-    @property
     def field(self) -> str:
         return self.name.rpartition(".")[2] or self.name
 
@@ -134,11 +133,28 @@ def _named(cells: Cells, key: int, problems: list[Problem]) -> list[_Column]:
 def _streams(
     columns: list[_Column], time_s: NDArray[np.float64], possible: NDArray[np.bool_]
 ) -> list[Stream]:
-    sources = dict.fromkeys(column.source for column in columns)
+    of = _sources(columns)
     return [
-        _stream(source, [c for c in columns if c.source == source], time_s, possible)
-        for source in sources
+        _stream(source, [c for c in columns if of[c.name] == source], time_s, possible)
+        for source in dict.fromkeys(of.values())
     ]
+
+
+def _sources(columns: list[_Column]) -> dict[str, str]:
+    """Name the source of every column."""
+    sources = {column.name: column.name.rpartition(".")[0] or UNDOTTED for column in columns}
+    gyros = [c.name for c in columns if c.unit in RATE_RAD_S and sources[c.name] == UNDOTTED]
+    parts = [AXIS.fullmatch(name) for name in gyros]
+    triads: dict[str, str] = {}
+    for k in range(len(gyros) - 2):
+        x, y, z = parts[k : k + 3]
+        if x and y and z and (x[2] + y[2] + z[2]).lower() == "xyz":
+            others = {(part[1], part[3]) for part in (x, y, z)}
+            if len(others) == 1:
+                source = (x[1] + x[3]).strip("_ ") or UNDOTTED
+                triads |= dict.fromkeys(gyros[k : k + 3], source)
+    several = len(set(triads.values())) > 1
+    return sources | triads if several else sources
 
 
 def _stream(

@@ -75,8 +75,10 @@ def printed_size(finding: Finding, *, flipped: bool = False) -> PrintedSize | No
     if size is None:
         return None
     scale, unit = _PRINTED_FACTOR.get(finding.kind) or _PRINTED_UNIT.get(size.unit) or (1.0, "")
-    # A scale factor of 1.2 is said as "20 % too large".
+    # A scale factor of 1.2 is said as "20 % too large", one of 8 as "8 times".
     usual = 1.0 if finding.kind == "scale" else 0.0
+    if _multiple(finding):
+        scale, unit, usual, flipped = 1.0, "times", 0.0, False
     ends = [size.low - usual, size.high - usual]
     estimate = size.estimate - usual
     if flipped:
@@ -88,6 +90,12 @@ def printed_size(finding: Finding, *, flipped: bool = False) -> PrintedSize | No
         unit=unit or shown(size.unit),
         confidence=confidence_of(size),
     )
+
+
+def _multiple(finding: Finding) -> bool:
+    """Whether a scale error is one by a factor of two or more."""
+    size = finding.size
+    return finding.kind == "scale" and size is not None and not 0.5 < size.estimate < 2.0
 
 
 def confidence_of(size: Size) -> str:
@@ -164,15 +172,14 @@ def _claim(finding: Finding, analysis: Analysis) -> str:
         interval = f" ({printed.confidence}: {printed.interval})"
     much, large = ("too little", "too small") if flipped else ("too much", "too large")
     up = "downwards" if flipped else "upwards"
+    claim = _CLAIM_MULTIPLE if _multiple(finding) else _CLAIM[finding.kind]
     if not finding.isolated:  # the sign depends on which of them it is
         if not size_is_shared(finding, analysis):
             interval = f"{interval} if it was {shown(finding.suspects[0])}"
-        return _CLAIM_OF_SEVERAL.get(finding.kind, _CLAIM[finding.kind]).format(
-            amount=amount, interval=interval
-        )
-    return _CLAIM[finding.kind].format(
-        amount=amount, interval=interval, much=much, large=large, up=up
-    )
+        if not _multiple(finding):
+            claim = _CLAIM_OF_SEVERAL.get(finding.kind, claim)
+        return claim.format(amount=amount, interval=interval)
+    return claim.format(amount=amount, interval=interval, much=much, large=large, up=up)
 
 
 _CLAIM = {
@@ -188,6 +195,7 @@ _CLAIM = {
     "mounting": "read as if mounted otherwise",
     "disagreement": "disagreed with what was expected of it",
 }
+_CLAIM_MULTIPLE = "read {amount} the true rate{interval}"
 _CLAIM_OF_SEVERAL = {
     "bias": "was wrong by {amount}{interval}",
     "drift": "drifted by {amount}{interval}",

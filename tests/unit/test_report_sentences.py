@@ -68,6 +68,14 @@ def test_where_the_size_depends_on_the_suspect_it_says_whose_it_is() -> None:
             "read rates 7.2 % too small (99.9 %: 5.9 to 8.5)",
         ),
         (
+            {"kind": "scale", "size": size(8.04, 7.9, 8.15, "1")},
+            "read 8.04 times the true rate (99.9 %: 7.90 to 8.15)",
+        ),
+        (
+            {"kind": "scale", "size": size(0.0175, 0.0173, 0.0177, "1")},
+            "read 0.01750 times the true rate (99.9 %: 0.01730 to 0.01770)",
+        ),
+        (
             {"kind": "noise", "size": size(4.2, 3.1, 5.5, "1")},
             "was 4.2 times as noisy as the others (99.9 %: 3.1 to 5.5)",
         ),

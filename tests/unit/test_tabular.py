@@ -92,6 +92,30 @@ def test_names_with_a_dot_belong_to_the_source_before_it(tmp_path: Path) -> None
     }
 
 
+@pytest.mark.parametrize(
+    ("header", "sources"),
+    [
+        ("gyro1_x,gyro1_y,gyro1_z,gyro2_x,gyro2_y,gyro2_z", ["gyro1"] * 3 + ["gyro2"] * 3),
+        ("gx1,gy1,gz1,gx2,gy2,gz2", ["g1"] * 3 + ["g2"] * 3),
+        ("aX,aY,aZ,bX,bY,bZ", ["a"] * 3 + ["b"] * 3),
+        ("gx,gy,gz,t [degC]", ["table"] * 4),
+        ("ax,bx,ay,by,az,bz", ["table"] * 6),
+        ("gx1,gy1,gz1,gx2,gy2,gx3", ["table"] * 6),
+        ("gx1,gy1,gz1,gx2,gy2,gz2,more", ["g1"] * 3 + ["g2"] * 3 + ["table"]),
+    ],
+)
+def test_several_triads_beside_each_other_are_a_source_each(
+    tmp_path: Path, header: str, sources: list[str]
+) -> None:
+    names = [name.partition(" ")[0] for name in header.split(",")]
+    recording = read(tmp_path, f"time_s,{header}\n0.1{',1' * len(names)}\n")
+    found = {name: stream.name for stream in recording.streams for name in stream.columns}
+    assert found == dict(zip(names, sources, strict=True))
+    assert [k for s in recording.streams for k in s.channel_names] == [
+        name for name in names if name != "t"
+    ]
+
+
 def test_a_row_without_a_reading_of_a_source_is_no_record_of_it(tmp_path: Path) -> None:
     text = "time_s,a.x,a.y,b.x\n0,1,2,3\n1,,,4\n2,5,,\n3,nan,NaN,6\n"
     first, second = read(tmp_path, text).streams
