@@ -32,6 +32,10 @@ LEAST_CHANCE = 0.05
 # pictures of a unit on a bench.
 LONGEST_STILL = 500
 LONGEST_STILL_S = 10.0
+# Neither does one that reads zero for so long and is known to tell finer steps than that by as many
+# values: the best gyros are noisier. Coarser ones may rest at zero, level on the ground.
+FINE_RAD_S = float(np.radians(0.001))
+FEWEST_LEVELS = 100
 # Full scales of MEMS gyros, by their data sheets; trimmed sensitivities move them by a few percent.
 FULL_SCALES_DEG_S = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 FULL_SCALE_MARGIN = 0.03
@@ -227,8 +231,17 @@ def _impossible_runs(
         (int(rows[a]), int(rows[b - 1]) + 1, float(values[a]))
         for a, b in zip(start[long], stop[long], strict=True)
         if _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1, least_motion)
-        or (never_moved and b - a >= LONGEST_STILL and (b - a) * period_s >= LONGEST_STILL_S)
+        or (
+            b - a >= LONGEST_STILL
+            and (b - a) * period_s >= LONGEST_STILL_S
+            and (never_moved or (values[a] == 0.0 and _is_fine(table, channel, values)))
+        )
     ]
+
+
+def _is_fine(table: ChannelTable, channel: int, values: NDArray[np.float64]) -> bool:
+    fine = table.channels[channel].step_rad_s < FINE_RAD_S
+    return fine and len(np.unique(values)) >= FEWEST_LEVELS
 
 
 def _others_move(

@@ -147,6 +147,8 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     holes: list[Problem] = []
     if not all(gyro.stream.batched for gyro in gyros):
         holes = _holes(base, restarts, config.tolerance.dropout_s)
+    if not restarts:
+        holes += _outlasted(recording, base, config.tolerance.dropout_s)
     placed = [place(gyro.time_ns, gyro.rate_rad_s, base) for gyro in gyros]
     table = ChannelTable(
         time_s=(base.time_ns - zero_ns) / 1e9,
@@ -646,3 +648,28 @@ def _holes(base: TimeBase, restarts: Sequence[int], dropout_s: float) -> list[Pr
         what = f"{len(starts) - MOST_LISTED} more holes in which no gyro was recorded"
         problems.append(Problem(what=what, seconds_lost=rest))
     return problems
+
+
+def _outlasted(recording: Recording, base: TimeBase, dropout_s: float) -> list[Problem]:
+    """Say if all gyros fell silent while the vehicle's other senses were still recorded."""
+    end_ns = int(base.time_ns[-1])
+    limit_s = hole_threshold_s(base.period_ns / 1e9, dropout_s)
+    longest, until_s = "", 0.0
+    for stream in recording.streams:
+        senses = stream.origin == "derived" or any(
+            (stream.gyro, stream.accelerometer, stream.compass, stream.velocity)
+        )
+        # One that begins later is stamped by another clock, or of another flight.
+        if not senses or not stream.rate_hz or int(stream.time_ns.min()) > end_ns:
+            continue
+        later_s = (int(stream.time_ns.max()) - end_ns) / 1e9
+        if later_s > max(until_s, limit_s + 1.0 / stream.rate_hz):
+            longest, until_s = stream.name, later_s
+    if not longest:
+        return []
+    end_s = (end_ns - int(base.time_ns[0])) / 1e9
+    what = (
+        f"no gyro was recorded after {end_s:.3f} s, while {longest} was until"
+        f" {end_s + until_s:.3f} s"
+    )
+    return [Problem(what=what, seconds_lost=until_s)]

@@ -12,6 +12,10 @@ from fdilog_reports.words import DEG_PER_RAD, figure
 ROOM = 0.06
 """Share of the width that stays free at either end."""
 
+APART = 6.0
+"""Numbers that are nearer to one another, in percent of the width, would be printed over each
+other."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SizeBar:
@@ -55,12 +59,17 @@ def size_bar(finding: Finding, tolerance: Tolerance, *, flipped: bool = False) -
         tolerated=bar(low, high),
         interval=bar(*ends),
         estimate=f"{at(scale * size.estimate):.1f}",
-        marks=tuple(
-            (f"{at(value):.1f}", figure(value).replace("-", "\u2212"))
-            for value in dict.fromkeys((low, high))
+        marks=(
+            ((f"{at((low + high) / 2.0):.1f}", f"{_printed(low)} to {_printed(high)}"),)
+            if at(high) - at(low) < APART
+            else ((f"{at(low):.1f}", _printed(low)), (f"{at(high):.1f}", _printed(high)))
         ),
         unit=unit,
     )
+
+
+def _printed(value: float) -> str:
+    return figure(value).replace("-", "\u2212")
 
 
 def _tolerated(kind: str, tolerance: Tolerance) -> tuple[float, str, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.decision.judgement import judge
 from fdilog.detectors.excess_noise import NoiseDetector
+from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
 from fdilog.sources.assembly import assemble, channel_table
 from fdilog.sources.clocks import clean_stamps, place, time_base
@@ -296,3 +298,17 @@ def test_a_gyro_that_is_recorded_later_than_the_others_is_said_to_be(
     said = f"imu_1: nothing recorded before {first_s:.3f} s, while other gyros were"
     expected = [] if whole is None else [(said, whole)]
     assert [(problem.what, problem.note) for problem in problems] == expected
+
+
+def test_gyros_that_all_fall_silent_before_the_attitude_does_are_a_loss() -> None:
+    whole = simulate(60.0, 25.0, sources=2, seed=3).recording()
+    streams = []
+    for stream in whole.streams:
+        kept = stream.time_ns < stream.time_ns[0] + (40 if stream.gyro else 60) * 10**9
+        columns = {name: column[kept] for name, column in stream.columns.items()}
+        streams.append(replace(stream, time_ns=stream.time_ns[kept], columns=columns))
+    assert not assemble(whole, CONFIG).problems
+    (problem,) = assemble(replace(whole, streams=tuple(streams)), CONFIG).problems
+    assert problem.what.startswith("no gyro was recorded after 40.0")
+    assert "while attitude was until 59.9" in problem.what
+    assert problem.seconds_lost == pytest.approx(20.0, abs=0.2)

@@ -118,3 +118,26 @@ def test_a_gyro_that_is_stuck_is_nobodys_peer() -> None:
     rate[19:75, 2] = rate[19, 2]
     (finding,) = judge(table_of(time_s, rate), CONFIG).findings
     assert (finding.kind, finding.suspects) == ("stuck", ("imu0.z",))
+
+
+@pytest.mark.parametrize(
+    ("step_deg_s", "columns", "seconds", "dead"),
+    [
+        (0.0, (0, 1, 2), 20.0, {"imu0.x", "imu0.y", "imu0.z"}),
+        (0.06, (0, 1, 2), 20.0, set()),
+        (0.0, (0, 1), 20.0, {"imu0.x", "imu0.y"}),
+        (0.0, (0, 1, 2), 5.0, set()),
+    ],
+)
+def test_fine_gyros_that_read_nothing_any_more_are_dead_whatever_the_others_do(
+    step_deg_s: float, columns: tuple[int, ...], seconds: float, dead: set[str]
+) -> None:
+    table = triads(1, seconds=80.0)
+    rate = table.rate_rad_s.copy()
+    if step_deg_s:
+        rate = np.round(rate / (step_deg_s * DEG)) * step_deg_s * DEG
+    gone = (table.time_s >= 40.0) & (table.time_s < 40.0 + seconds)
+    rate[np.ix_(gone, columns)] = 0.0
+    findings = judge(table_of(table.time_s, rate), Config()).findings
+    assert {name for finding in findings for name in finding.suspects} == dead
+    assert {finding.kind for finding in findings} <= {"dead"}
