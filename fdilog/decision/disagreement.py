@@ -5,8 +5,8 @@ average out, and over short ones each is within the doubt. What they have in com
 by second a gyro does not read what the others agree on. So the error of every channel is looked at
 in half seconds: each tells whether it surely lies beyond the tolerance at that rate. Where that is
 so again and again, after what is known to be wrong has been taken out, the finding is of kind
-disagreement. A bias, drift or scale error that leaves as much unexplained is no such thing, and
-becomes a part of it.
+disagreement. A drift or scale error that leaves as much unexplained is no such thing, and becomes
+a part of it. So does a bias, unless it is one that changes: by steps, or as a drift that ends.
 """
 
 from __future__ import annotations
@@ -54,6 +54,10 @@ FEWEST_BEYOND = 10
 LEAST_EXCESS = 5.0
 """Ten half seconds beyond tolerance, five more than that share of the span would have."""
 
+CHANGING_S = 5.0
+"""What is off by about the same for so long is off by a bias, and beyond tolerance for at most half
+of that where it jumps."""
+
 SHORTEST_S = 1e-9
 """No clock of a log tells less apart."""
 
@@ -65,7 +69,8 @@ def with_disagreement(
 ) -> list[Finding]:
     """Add disagreements to the findings, in the place of those that they contain.
 
-    One that a scale error or a drift explains after all is a finding of that kind.
+    One that a scale error, a drift, or a bias that changes explains after all is a finding of that
+    kind.
 
     Parameters
     ----------
@@ -87,7 +92,11 @@ def with_disagreement(
             start_s=min([found.start_s, *(one.start_s for one in shapes)]),
             end_s=max([found.end_s, *(one.end_s for one in shapes)]),
         )
-        kept.append(_of_known_kind(table, logged, whole, kept, config) or whole)
+        kept.append(
+            _of_known_kind(table, logged, whole, kept, config)
+            or _changing_bias(table, logged, whole, (parts, kept), config)
+            or whole
+        )
     return kept
 
 
@@ -115,6 +124,61 @@ def _of_known_kind(
     if any(_overlap(one, known) or _overlap(one, found) for one in left):
         return None
     return replace(known, detectors=(DETECTOR,))
+
+
+def _changing_bias(
+    table: ChannelTable,
+    logged: ChannelTable,
+    found: Finding,
+    known: tuple[Sequence[Finding], Sequence[Finding]],
+    config: Config,
+) -> Finding | None:
+    """Return the bias that a disagreement is, if its mean over some seconds explains it.
+
+    Parameters
+    ----------
+    known
+        Findings that are a part of it, and the others.
+    """
+    parts, others = known
+    parts = [one for one in parts if one.kind in {"bias", "drift"}]
+    names = set(found.suspects).intersection(*(one.suspects for one in parts))
+    if not parts or not names:
+        return None
+    suspects = sorted(table.names.index(name) for name in names)
+    start, stop = np.searchsorted(table.time_s, [found.start_s, found.end_s]).tolist()
+    row = leave_one_out(table.axes)[suspects[0]]
+    needed = np.flatnonzero(np.nan_to_num(row))
+    rows = start + np.flatnonzero(table.valid[start : stop + 1][:, needed].all(axis=1))
+    width = round(CHANGING_S / table.period_s) if table.period_s else 0
+    if not np.isfinite(row).all() or len(rows) < 2 * max(width, 1):
+        return None
+    error = table.rate_rad_s[np.ix_(rows, needed)] @ row[needed]
+    around = np.pad(error, width // 2, mode="edge")
+    slow = np.convolve(around, np.ones(width) / width, mode="same")[width // 2 :][: len(rows)]
+    rate = table.rate_rad_s.copy()
+    rate[rows, suspects[0]] -= slow
+    left = _disagreements(replace(table, rate_rad_s=rate), others, config)
+    if any(_overlap(one, found) for one in left):
+        return None
+    span = Shape(kind="bias", start=start, stop=stop + 1, gain=0.0, size=0.0)
+    fault = Fault(suspects=frozenset(suspects), shape=span, longest_s=0.0)
+    bias = finding_of(logged, fault, config)
+    size, tolerance = bias.size, config.tolerance.bias_deg_s
+    low, high = np.degrees([slow.min(), slow.max()])
+    # What wanders to both sides is no error of any one size.
+    if size is None or (low < -tolerance and high > tolerance):
+        return None
+    if max(size.low, -size.high) <= np.radians(tolerance):
+        return None
+    longest = max(parts, key=lambda one: one.end_s - one.start_s)
+    return replace(
+        bias,
+        detectors=(DETECTOR, *longest.detectors),
+        dissent=longest.dissent,
+        witness=longest.witness,
+        detail=f"it changed, from {low:.2g} to {high:.2g} deg/s; {longest.detail}",
+    )
 
 
 def _overlap(one: Finding, other: Finding) -> bool:

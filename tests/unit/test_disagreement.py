@@ -48,7 +48,6 @@ WRONG: dict[str, Wrong] = {
     "a sign that is wrong every other five seconds": lambda z, t: np.where(t % 10.0 < 5.0, z, -z),
     "a delay of 0.3 s": lambda z, t: np.interp(t - 0.3, t, z),
     "a low-pass filter": low_pass,
-    "a random walk": random_walk,
     "an oscillation": lambda z, t: z + np.radians(5.0) * np.sin(2.0 * np.pi * 0.7 * t),
     "a response that is not linear": lambda z, _: z * np.abs(z) / np.radians(30.0),
 }
@@ -85,6 +84,48 @@ def test_of_three_gyros_the_one_that_disagrees_is_one_finding(what: str) -> None
     assert finding.start_s == pytest.approx(START_S, abs=6.0)
     assert finding.end_s == pytest.approx(END_S, abs=6.0)
     assert found.verdict == "failed"
+
+
+CHANGING: dict[str, Wrong] = {
+    "a drift that ends": lambda z, t: z + np.radians(np.clip(0.3 * (t - START_S), 0.0, 4.0)),
+    "two steps": lambda z, t: z - np.radians(np.where(t < 35.0, 2.0, 6.0)),
+}
+
+
+@pytest.mark.parametrize("what", CHANGING)
+def test_a_bias_that_changes_is_a_bias_whose_interval_holds_its_mean(what: str) -> None:
+    changing = with_wrong(flight(), CHANGING[what])
+    (finding,) = analyse_recording(changing, OWN_FINDINGS).findings
+    assert (finding.kind, finding.suspects) == ("bias", ("imu1.x",))
+    assert finding.start_s == pytest.approx(START_S, abs=8.0)
+    assert finding.end_s == pytest.approx(END_S, abs=1.0)
+    time_s = np.linspace(finding.start_s, finding.end_s, 1000)
+    assert finding.size is not None
+    mean = float(CHANGING[what](np.zeros(1000), time_s).mean())
+    assert finding.size.low < mean < finding.size.high
+
+
+def test_a_walk_that_stays_on_one_side_is_a_bias_and_says_from_what_to_what() -> None:
+    walking = with_wrong(flight(), random_walk)
+    (finding,) = analyse_recording(walking, OWN_FINDINGS).findings
+    assert (finding.kind, finding.suspects) == ("bias", ("imu1.x",))
+    assert finding.detail.startswith("it changed, from -45 to -35 deg/s;")
+
+
+def test_what_swings_to_both_sides_is_no_bias_of_any_one_size() -> None:
+    def wrong(rate: Floats, time_s: Floats) -> Floats:
+        return np.asarray(rate + np.radians(6.0) * np.sin(0.42 * (time_s - START_S)), float)
+
+    found = analyse_recording(with_wrong(flight(), wrong), OWN_FINDINGS)
+    assert kinds(found) == [("disagreement", ("imu1.x",))]
+
+
+def test_the_attitude_tells_of_a_bias_that_changes_whose_it_is() -> None:
+    recording = simulate(80.0, 25.0, sources=2, seed=1).recording()
+    changing = with_wrong(recording, CHANGING["a drift that ends"])
+    (finding,) = analyse_recording(changing, OWN_FINDINGS).findings
+    assert (finding.kind, finding.suspects) == ("bias", ("imu1.x",))
+    assert finding.witness == "att"
 
 
 def test_of_two_gyros_both_are_suspects() -> None:
