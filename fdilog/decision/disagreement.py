@@ -82,7 +82,7 @@ def with_disagreement(
         All that is known to be wrong.
     """
     kept = list(findings)
-    for found in _disagreements(table, findings, config):
+    for found in disagreements(table, findings, config):
         parts = [one for one in kept if _contains(found, one)]
         kept = [one for one in kept if one not in parts]
         # A part that has no proper place may still say when it began or ended.
@@ -120,8 +120,8 @@ def _of_known_kind(
         known.kind == "scale" and max(size.low - 1.0, 1.0 - size.high) < config.tolerance.scale
     ):
         return None
-    left = _disagreements(table, [*others, known], config)
-    if any(_overlap(one, known) or _overlap(one, found) for one in left):
+    left = disagreements(table, [*others, known], config)
+    if any(overlap(one, known) or overlap(one, found) for one in left):
         return None
     return replace(known, detectors=(DETECTOR,))
 
@@ -158,8 +158,8 @@ def _changing_bias(
     slow = np.convolve(around, np.ones(width) / width, mode="same")[width // 2 :][: len(rows)]
     rate = table.rate_rad_s.copy()
     rate[rows, suspects[0]] -= slow
-    left = _disagreements(replace(table, rate_rad_s=rate), others, config)
-    if any(_overlap(one, found) for one in left):
+    left = disagreements(replace(table, rate_rad_s=rate), others, config)
+    if any(overlap(one, found) for one in left):
         return None
     span = Shape(kind="bias", start=start, stop=stop + 1, gain=0.0, size=0.0)
     fault = Fault(suspects=frozenset(suspects), shape=span, longest_s=0.0)
@@ -181,7 +181,8 @@ def _changing_bias(
     )
 
 
-def _overlap(one: Finding, other: Finding) -> bool:
+def overlap(one: Finding, other: Finding) -> bool:
+    """Tell whether two findings suspect the same channel at the same time."""
     in_time = one.start_s < other.end_s and one.end_s > other.start_s
     return in_time and bool(set(one.suspects) & set(other.suspects))
 
@@ -270,9 +271,10 @@ class _Cells:
         return np.asarray(tested & (np.abs(error) - half_width > tolerance), bool)
 
 
-def _disagreements(
+def disagreements(
     table: ChannelTable, findings: Sequence[Finding], config: Config
 ) -> Iterator[Finding]:
+    """Find disagreements that are left when what is known to be wrong has been taken out."""
     explained, doubtful = _without_known(table, findings)
     for block in blocks(table.axes):
         columns = list(block)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.decision.alignment import aligned_windows
 from fdilog.decision.biases import Hearing, bias_findings
+from fdilog.decision.delays import with_delays
 from fdilog.decision.disagreement import with_disagreement
 from fdilog.decision.findings import (
     guaranteed_findings,
@@ -106,6 +107,7 @@ def judge(
         *guaranteed_findings(heard, sampled, biased, config),
     ]
     findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
+    findings = with_delays(sound.gyros, findings, config)
     findings += gain_findings(table, multiplied)
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))
     decided = dict(zip(sound.names, channel_status(sound, compared, findings), strict=True))

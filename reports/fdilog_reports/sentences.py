@@ -119,7 +119,8 @@ def suspects(finding: Finding) -> str:
 def finding_sentence(finding: Finding, analysis: Analysis) -> str:
     """Say what one finding found: who, what, how much, when."""
     claim = f"{_claim(finding, analysis)} {_when(finding, analysis)}"
-    if finding.kind == "mounting" and finding.detail:
+    whole_device = finding.kind == "disagreement" and finding.one_source
+    if finding.detail and (finding.kind == "mounting" or whole_device):
         claim = f"{claim}: {shown(finding.detail.partition(';')[0], SHOWN_TEXT)}"
     if finding.isolated:
         return f"{suspects(finding)} {claim}."
