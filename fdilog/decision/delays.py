@@ -37,8 +37,13 @@ def with_delays(table: ChannelTable, findings: Sequence[Finding], config: Config
     sources = list(dict.fromkeys(channel.source for channel in table.channels))
     # Of two devices, whichever is late, the other is early.
     for source in sources if len(sources) > 2 else sources[1:]:
-        mine = [one for one in kept if _concerns(table, one, source, alone=len(sources) > 2)]
-        disagreeing = [one for one in mine if one.kind == "disagreement"]
+        mine = [one for one in kept if source in _suspected(table, one) and one.kind in EXPLAINED]
+        disagreeing = [
+            one
+            for one in mine
+            if one.kind == "disagreement"
+            and (len(sources) == 2 or _suspected(table, one) == {source})
+        ]
         if not disagreeing:
             continue
         start_s = min(one.start_s for one in disagreeing)
@@ -65,11 +70,9 @@ def with_delays(table: ChannelTable, findings: Sequence[Finding], config: Config
     return kept
 
 
-def _concerns(table: ChannelTable, one: Finding, source: str, *, alone: bool) -> bool:
-    """Tell whether a finding may be what a delay of a device looks like."""
-    of = {channel.name: channel.source for channel in table.channels}
-    suspected = {of.get(name) for name in one.suspects}
-    return one.kind in EXPLAINED and source in suspected and (not alone or suspected == {source})
+def _suspected(table: ChannelTable, one: Finding) -> set[str]:
+    """Devices that a finding suspects."""
+    return {channel.source for channel in table.channels if channel.name in one.suspects}
 
 
 def _late(

@@ -13,6 +13,7 @@ from fdilog.config import Config
 from fdilog.decision.accusations import Accusation, Cluster, accusations, clusters, region
 from fdilog.finding import SIZE_UNIT, Evidence, Finding, Interval, Kind, Size
 from fdilog.table import ChannelTable
+from fdilog.windows.bursts import LONGEST_S
 
 # A fault that single samples show, miss and show again within this time is one fault. [s]
 REJOINED_S = 1.0
@@ -22,9 +23,15 @@ SHAKING_S = 1.0
 STILL = 0.25
 # Turns that are too fast for a gyro and no further apart than this are told as one. [s]
 TURNS_S = 60.0
-# So many impulses or silences, no further apart than that, are one gyro or source that fails again
-# and again; the instant and size of each of a few are worth a look.
-FEWEST_TOGETHER: dict[Kind, int] = {"saturated": 1, "impulse": 10, "dropout": 10}
+# So many impulses, silences or held values, no further apart than that, are one gyro or source that
+# fails again and again; the instant and size of each of a few are worth a look.
+FEWEST_TOGETHER: dict[Kind, int] = {
+    "saturated": 1,
+    "impulse": 10,
+    "dropout": 10,
+    "stuck": 10,
+    "dead": 10,
+}
 # What covers so much of a finding, or of a flight, explains it.
 MOST = 0.5
 # A span of noise is looked for between so many pieces at most, then between readings.
@@ -85,6 +92,21 @@ def noise_findings(
         if not any(_explains(one, found, table.duration_s) for one in others):
             findings.append(found)
     return findings
+
+
+def without_swings(biased: Sequence[Finding], noise: Sequence[Finding]) -> list[Finding]:
+    """Return biases but for those that are swings of a noise of the same channels."""
+    return [
+        one
+        for one in biased
+        if not any(
+            one.kind == "bias"
+            and one.end_s - one.start_s <= LONGEST_S
+            and set(one.suspects) <= set(loud.suspects)
+            and loud.start_s - REJOINED_S <= one.start_s <= one.end_s <= loud.end_s + REJOINED_S
+            for loud in noise
+        )
+    ]
 
 
 def _span_of_noise(

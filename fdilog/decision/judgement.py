@@ -18,6 +18,7 @@ from fdilog.decision.findings import (
     guaranteed_findings,
     noise_findings,
     self_evident_findings,
+    without_swings,
 )
 from fdilog.decision.scales import with_scales
 from fdilog.decision.steps import steps_as_logged
@@ -100,10 +101,12 @@ def judge(
     biased = bias_findings(heard, sound, compared, config, hearing)
     biased = with_scales(heard, sound, scaled, biased, config)
     by_itself = self_evident_findings(gyros, alone)
+    noise = noise_findings(heard, noisy, [*biased, *by_itself])
+    biased = without_swings(biased, noise)
     findings = [
         *mounting_findings(table, mounted.found),
         *by_itself,
-        *noise_findings(heard, noisy, [*biased, *by_itself]),
+        *noise,
         *guaranteed_findings(heard, sampled, biased, config),
     ]
     findings = with_disagreement(sound.gyros, heard.gyros, findings, config)

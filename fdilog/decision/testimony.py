@@ -42,6 +42,9 @@ TOLERANCE_SIGMAS = 3.0
 LONG_S = 20.0
 """A filter that is corrected with a time constant of a minute and a half or less has come off the
 gyro that it followed by a sixth of the step within the last third of so long a time."""
+CLEAR = 2.0
+"""Over a shorter time a few seconds of force level an attitude that started anew, and their noise
+turns the axes that gravity seems to show: so many half-widths are asked of a gyro alone."""
 UNTOUCHED = 1.0 / 6.0
 STEADY = 1.0 / 4.0
 """How much of a step the thirds of a span may differ by, of a sound gyro and of a failed one. Ten
@@ -140,14 +143,15 @@ def hear(
     failed = [channel for channel, said in heard.items() if said.failed]
     furthest = max(heard, key=lambda channel: abs(heard[channel].error))
     words = _words(table, heard)
-    if _surely(heard, furthest) or _stepped(table, heard, furthest, span):
+    long = float(table.time_s[span[1] - 1] - table.time_s[span[0]]) >= LONG_S
+    if _surely(heard, furthest, long=long) or (long and _stepped(heard, furthest)):
         return Statement(named=furthest, detail=words)
     if not failed and all(said.drift.lost for said in heard.values()):
         words = f"the attitude is lost, and tells nothing; {words}"
     return Statement(named=None, detail=words)
 
 
-def _surely(heard: Mapping[int, Testimony], named: int) -> bool:
+def _surely(heard: Mapping[int, Testimony], named: int, *, long: bool) -> bool:
     """Tell whether the anchors name a gyro.
 
     Of one alone they must show that it is off; of several of which one is, which of them it is.
@@ -156,24 +160,22 @@ def _surely(heard: Mapping[int, Testimony], named: int) -> bool:
     others = [other for channel, other in heard.items() if channel != named]
     if not others:
         # A filter follows a failed gyro, lagging; it does not run ahead of it.
-        return said.failed and said.error * said.anchored > 0.0
+        behind = said.error * said.anchored > 0.0
+        clear = long or abs(said.anchored) > CLEAR * said.anchored_half_width
+        return said.failed and behind and clear
     return not any(other.failed for other in others) and all(
         said.borne_out(said.anchored - other.anchored, SURE_ODDS) for other in others
     )
 
 
-def _stepped(
-    table: ChannelTable, heard: Mapping[int, Testimony], named: int, span: tuple[int, int]
-) -> bool:
+def _stepped(heard: Mapping[int, Testimony], named: int) -> bool:
     """Tell whether the course of the differences names a gyro, and the anchors bear it out."""
-    long = float(table.time_s[span[1] - 1] - table.time_s[span[0]]) >= LONG_S
     step = heard[named].step
     others = [said for channel, said in heard.items() if channel != named]
     # Without compass and GPS no filter corrects its heading.
     corrected = len(heard[named].drift.anchors) > 1
     return (
-        long
-        and step != 0.0
+        step != 0.0
         and all(said.untouched(step) for said in others)
         and heard[named].borne_out(step, 1.0 if others and corrected else LEAST_ODDS)
     )

@@ -204,6 +204,8 @@ def _said(survey: Survey) -> tuple[Floats, Floats, NDArray[np.int8]]:
             relative = mine / common
         louder = _ratio(survey, counts, relative, usual.of_those(usual.relative, common))
         by_itself = grown.beyond & louder.more & loudest & (alone > least) & ~found
+        if by_itself.any() and len(peers) > 1:
+            by_itself &= ~_others_have_changed(survey, channel, rows)
         shown = logged if found.any() else grown
         found |= by_itself
         for peer in peers.tolist() if found.any() else ():
@@ -216,6 +218,38 @@ def _said(survey: Survey) -> tuple[Floats, Floats, NDArray[np.int8]]:
         high[:, channel] = np.where(by_itself, grown.high, shown.high)
         accused[found, channel] = channel + 1
     return low, high, accused
+
+
+def _others_have_changed(
+    survey: Survey, channel: int, rows: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell in which windows a channel's peers no longer tell of one another as they usually do.
+
+    One of them that is late, or turned, does not tell either what vibration the channel feels,
+    which then looks as if it were the channel's own.
+
+    Parameters
+    ----------
+    rows
+        Samples at which the noise of the channel and its peers shows.
+    """
+    table = survey.table
+    deviation, _ = shown_noise(table)
+    rounding = _rounding(table)
+    counts = _window_counts(survey, rows)
+    peers = noise_peers(table, channel)
+    changed = np.zeros(len(survey.windows), bool)
+    for peer in peers:
+        others = peers[peers != peer]
+        shown = deviation[:, peer] * DEVIATION_GAIN
+        own = own_noise(table, peer, others, shown)[rows] / DEVIATION_GAIN
+        columns = [peer, *others]
+        usual = _Usual.of(deviation[rows][:, columns], own, rounding[columns])
+        sigmas = [_window_sigmas(deviation[rows, k], survey, rows, rounding[k]) for k in columns]
+        common, _ = usual.common(np.column_stack([sigmas[0][0], *(one[1] for one in sigmas[1:])]))
+        alone, _ = _window_sigmas(own, survey, rows, rounding[peer])
+        changed |= _ratio(survey, counts, alone, usual.of_those(usual.own, common)).more
+    return changed
 
 
 def _told(deviation: Floats, columns: Sequence[int]) -> NDArray[np.int64]:

@@ -178,7 +178,9 @@ def _gain(
 
 
 def _far(interval: tuple[float, float, float]) -> bool:
-    return interval[0] > LEAST_FACTOR or interval[2] < 1.0 / LEAST_FACTOR
+    """Tell whether it is one factor, as at full scale it is not, and surely far from one."""
+    low, _, high = interval
+    return high < low * LEAST_FACTOR and (low > LEAST_FACTOR or high < 1.0 / LEAST_FACTOR)
 
 
 def _one_unit(flight: Devices, names: Sequence[str], axis: int) -> bool:

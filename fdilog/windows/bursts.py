@@ -48,6 +48,8 @@ READINGS_BESIDE = 60
 # A block that others stand off in, by this part of it on its axis or by all of it on any, is a
 # blow or a turn of the vehicle.
 CONFIRMED, CONFIRMED_ELSEWHERE = 0.3, 1.0
+# The filters of gyros overshoot where the vehicle begins to turn, by no more than this part of it.
+OVERSHOOT = 0.25
 # Blocks may hold a lost record or two.
 LONGEST_WITH_LOSSES = 1.25
 
@@ -226,8 +228,10 @@ class _Error:
         """Say how far a block may stand off because all turn quickly in or beside it. [rad/s]"""
         told, usually = self._told
         if size < FEWEST_READINGS:
-            # Where others turn by as much meanwhile, it may be early or late.
-            limit = max(limit, float(np.ptp(told[begin - size : begin + 2 * size])))
+            # Where others turn by as much meanwhile, it may be early or late, and overshoot.
+            around = told[max(0, begin - FEWEST_READINGS) : begin + size + FEWEST_READINGS]
+            turned = float(np.ptp(around))
+            limit = max(limit, (1.0 + OVERSHOOT) * turned)
         mistimed, following = off_in_motion(
             told,
             np.arange(begin - 1, begin + size + 1),

@@ -160,7 +160,8 @@ def _claim(finding: Finding, analysis: Analysis) -> str:
     """Say what happened, without who and when."""
     size = finding.size
     if size is None:
-        return _UNSIZED[finding.kind]
+        held = _AGAIN.get(finding.kind) if finding.detail.endswith("s in all") else None
+        return held or _UNSIZED[finding.kind]
     flipped = (finding.kind in {"bias", "drift", "impulse"} and negative(size)) or (
         finding.kind == "scale" and negative(size, usual=1.0)
     )
@@ -202,6 +203,10 @@ _CLAIM_OF_SEVERAL = {
     "drift": "drifted by {amount}{interval}",
     "scale": "read rates wrong by {amount}{interval}",
     "impulse": "jumped by {amount}{interval}",
+}
+_AGAIN = {
+    "stuck": "was stuck again and again",
+    "dead": "was dead again and again: it read zero",
 }
 _UNSIZED = {
     "bias": "read a wrong rate, by how much the log does not bound,",

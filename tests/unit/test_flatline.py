@@ -141,3 +141,16 @@ def test_fine_gyros_that_read_nothing_any_more_are_dead_whatever_the_others_do(
     findings = judge(table_of(table.time_s, rate), Config()).findings
     assert {name for finding in findings for name in finding.suspects} == dead
     assert {finding.kind for finding in findings} <= {"dead"}
+
+
+def test_a_gyro_that_is_stuck_again_and_again_is_one_finding() -> None:
+    table = triads(3, seconds=80.0)
+    rate = table.rate_rad_s.copy()
+    for begin_s in range(10, 70, 4):
+        held = (table.time_s >= begin_s) & (table.time_s < begin_s + 1.0)
+        rate[held, 4] = rate[held, 4][0]
+    (finding,) = judge(table_of(table.time_s, rate), Config()).findings
+    assert (finding.kind, finding.suspects) == ("stuck", ("imu1.y",))
+    assert finding.start_s == pytest.approx(10.0, abs=0.05)
+    assert finding.end_s == pytest.approx(67.0, abs=0.05)
+    assert finding.detail.endswith("15 times, 15 s in all")
