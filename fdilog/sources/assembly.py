@@ -651,25 +651,34 @@ def _holes(base: TimeBase, restarts: Sequence[int], dropout_s: float) -> list[Pr
 
 
 def _outlasted(recording: Recording, base: TimeBase, dropout_s: float) -> list[Problem]:
-    """Say if all gyros fell silent while the vehicle's other senses were still recorded."""
-    end_ns = int(base.time_ns[-1])
+    """Say if the vehicle's other senses were recorded long before, or after, any gyro was.
+
+    What is recorded begins at different times; so a while is asked before, and none after.
+    """
+    first_ns, last_ns = int(base.time_ns[0]), int(base.time_ns[-1])
+    end_s = (last_ns - first_ns) / 1e9
     limit_s = hole_threshold_s(base.period_ns / 1e9, dropout_s)
-    longest, until_s = "", 0.0
+    before, after = ("", MOST_MISSED * end_s), ("", 0.0)
     for stream in recording.streams:
         senses = stream.origin == "derived" or any(
             (stream.gyro, stream.accelerometer, stream.compass, stream.velocity)
         )
-        # One that begins later is stamped by another clock, or of another flight.
-        if not senses or not stream.rate_hz or int(stream.time_ns.min()) > end_ns:
+        if not senses or not stream.rate_hz:
             continue
-        later_s = (int(stream.time_ns.max()) - end_ns) / 1e9
-        if later_s > max(until_s, limit_s + 1.0 / stream.rate_hz):
-            longest, until_s = stream.name, later_s
-    if not longest:
-        return []
-    end_s = (end_ns - int(base.time_ns[0])) / 1e9
-    what = (
-        f"no gyro was recorded after {end_s:.3f} s, while {longest} was until"
-        f" {end_s + until_s:.3f} s"
-    )
-    return [Problem(what=what, seconds_lost=until_s)]
+        begin_ns, stop_ns = int(stream.time_ns.min()), int(stream.time_ns.max())
+        # One that is apart is stamped by another clock, or of another flight.
+        if begin_ns > last_ns or stop_ns < first_ns:
+            continue
+        least_s = limit_s + 1.0 / stream.rate_hz
+        earlier_s, later_s = (first_ns - begin_ns) / 1e9, (stop_ns - last_ns) / 1e9
+        before = (stream.name, earlier_s) if earlier_s > max(before[1], least_s) else before
+        after = (stream.name, later_s) if later_s > max(after[1], least_s) else after
+    problems = []
+    if before[0]:
+        what = f"no gyro was recorded before 0.000 s, while {before[0]} was from -{before[1]:.3f} s"
+        problems.append(Problem(what=what, seconds_lost=before[1]))
+    if after[0]:
+        until_s = end_s + after[1]
+        what = f"no gyro was recorded after {end_s:.3f} s, while {after[0]} was until"
+        problems.append(Problem(what=f"{what} {until_s:.3f} s", seconds_lost=after[1]))
+    return problems
