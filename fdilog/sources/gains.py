@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from fdilog.finding import SIZE_UNIT, Finding, Size
 from fdilog.maths.student import student_quantile
 from fdilog.sources.devices import Devices, triads_of
 from fdilog.sources.mounting_words import AXES
-from fdilog.table import ChannelTable
+from fdilog.table import PARALLEL, ChannelTable
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +46,25 @@ MEDIAN_SIGMA = 1.2533
 """From a median modulus to a sigma, and how much less a median tells than a mean."""
 
 
+class Factor(NamedTuple):
+    """What some readings are over others: the likeliest value, and its interval. [1]"""
+
+    low: float
+    value: float
+    high: float
+
+    @property
+    def far(self) -> bool:
+        """Whether it is one factor, as at full scale it is not, and surely far from one."""
+        one = self.high < self.low * LEAST_FACTOR
+        return one and (self.low > LEAST_FACTOR or self.high < 1.0 / LEAST_FACTOR)
+
+    @property
+    def inverse(self) -> Factor:
+        """What the others are over these."""
+        return Factor(1.0 / self.high, 1.0 / self.value, 1.0 / self.low)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gain:
     """A device or gyro that reads a multiple of what the others do.
@@ -57,16 +77,14 @@ class Gain:
         The devices that may be the one.
     axes
         Numbers of the body axes concerned.
-    factor, low, high
-        What ``source`` reads over what the others do, and its interval. [1]
+    factor
+        What ``source`` reads over what the others do.
     """
 
     source: str
     among: tuple[str, ...]
     axes: tuple[int, ...]
-    factor: float
-    low: float
-    high: float
+    factor: Factor
 
     @property
     def note(self) -> str:
@@ -85,18 +103,21 @@ def gains(table: ChannelTable) -> tuple[Gain, ...]:
     for source, others in flight.compared():
         among = (source,) if len(others) > 1 or others == flight.derived else (*others, source)
         rate, reading = flight.reference(others), flight.means[source]
-        each = [_interval(rate[:, k : k + 1], reading[:, k : k + 1]) for k in range(3)]
-        axes = [
-            k
+        each = [_factor(rate[:, k : k + 1], reading[:, k : k + 1]) for k in range(3)]
+        far = {
+            k: one
             for k, one in enumerate(each)
-            if one is not None and _far(one) and _one_unit(flight, others, k)
-        ]
-        whole = _interval(rate, reading)
+            if one is not None and one.far and _one_unit(flight, others, k)
+        }
+        whole = _factor(rate, reading) if far else None
         spread = [_spread(rate[:, k], reading[:, k]) for k in range(3)]
-        if axes and whole is not None and _far(whole) and _agree(each, spread, whole):
-            found.append(_gain(source, among, (0, 1, 2), whole))
-            continue
-        found += [_gain(source, among, (k,), one) for k in axes if (one := each[k]) is not None]
+        if whole is not None and whole.far and _agree(each, spread, whole):
+            far = {}
+            found.append(Gain(source=source, among=among, axes=(0, 1, 2), factor=whole))
+        # A gyro that points along no axis of the body has a part in several.
+        along = all(_gyros(table, name, (k,)) for name in (source, *others) for k in far)
+        for k, one in far.items() if along else ():
+            found.append(Gain(source=source, among=among, axes=(k,), factor=one))
     return tuple(found)
 
 
@@ -104,8 +125,7 @@ def rescaled(table: ChannelTable, found: Sequence[Gain]) -> ChannelTable:
     """Return the table as if no device read a multiple."""
     for one in found:
         factor = np.ones(len(table.channels))
-        for k in _columns(table, one.source, one.axes):
-            factor[k] = one.factor
+        factor[_gyros(table, one.source, one.axes)] = one.factor.value
         deviation = table.deviation_rad_s
         table = replace(
             table,
@@ -123,14 +143,9 @@ def gain_findings(table: ChannelTable, found: Sequence[Gain]) -> list[Finding]:
     """Turn factors into findings, one for each device or axis."""
     findings = []
     for one in found:
-        concerned = [k for name in one.among for k in _columns(table, name, one.axes)]
+        concerned = [k for name in one.among for k in _gyros(table, name, one.axes)]
         # As everywhere, the size is the first suspect's if it is the one.
-        first = one.among[0] == one.source
-        factor, low, high = (
-            (one.factor, one.low, one.high)
-            if first
-            else (1.0 / one.factor, 1.0 / one.high, 1.0 / one.low)
-        )
+        factor = one.factor if one.among[0] == one.source else one.factor.inverse
         findings.append(
             Finding(
                 kind="scale",
@@ -138,9 +153,9 @@ def gain_findings(table: ChannelTable, found: Sequence[Gain]) -> list[Finding]:
                 start_s=float(table.time_s[0]),
                 end_s=float(table.time_s[-1]),
                 size=Size(
-                    estimate=factor,
-                    low=low,
-                    high=high,
+                    estimate=factor.value,
+                    low=factor.low,
+                    high=factor.high,
                     confidence=CONFIDENCE,
                     unit=SIZE_UNIT["scale"],
                 ),
@@ -155,52 +170,38 @@ def gain_findings(table: ChannelTable, found: Sequence[Gain]) -> list[Finding]:
 def _words(one: Gain) -> str:
     axes = ", ".join(AXES[k] for k in one.axes)
     others = " and ".join(name for name in one.among if name != one.source) or "the others"
-    said = f"{one.source} reads {one.factor:.3g} times what {others} read about {axes}"
-    if 1.0 / ALIKE < max(one.factor, 1.0 / one.factor) / DEGREES < ALIKE:
+    factor = one.factor.value
+    said = f"{one.source} reads {factor:.3g} times what {others} read about {axes}"
+    if 1.0 / ALIKE < max(factor, 1.0 / factor) / DEGREES < ALIKE:
         said += ", as where degrees and radians are mistaken for one another"
     if len(one.among) > 1:
         said += "; which of them is wrong, this log cannot tell"
     return f"{said}; the comparison goes on with its rates divided by it"
 
 
-def _columns(table: ChannelTable, source: str, axes: Sequence[int]) -> list[int]:
-    """Columns of a device's gyros that sense some body axes."""
-    return [
-        k for k in triads_of(table)[source] if int(np.abs(table.channels[k].axis).argmax()) in axes
-    ]
-
-
-def _gain(
-    source: str, among: tuple[str, ...], axes: tuple[int, ...], interval: tuple[float, float, float]
-) -> Gain:
-    low, factor, high = interval
-    return Gain(source=source, among=among, axes=axes, factor=factor, low=low, high=high)
-
-
-def _far(interval: tuple[float, float, float]) -> bool:
-    """Tell whether it is one factor, as at full scale it is not, and surely far from one."""
-    low, _, high = interval
-    return high < low * LEAST_FACTOR and (low > LEAST_FACTOR or high < 1.0 / LEAST_FACTOR)
+def _gyros(table: ChannelTable, source: str, axes: Sequence[int]) -> list[int]:
+    """Columns of a device's gyros: all of them, or those that point along some body axes."""
+    columns = triads_of(table)[source]
+    if len(axes) == 3:
+        return columns
+    along = np.abs(table.axes[:, list(axes)]).max(axis=1) > PARALLEL
+    return [k for k in columns if along[k]]
 
 
 def _one_unit(flight: Devices, names: Sequence[str], axis: int) -> bool:
     """Tell whether several devices read the same about an axis: else any of them is the one."""
     pairs = [
-        _interval(flight.means[a][:, axis : axis + 1], flight.means[b][:, axis : axis + 1])
+        _factor(flight.means[a][:, axis : axis + 1], flight.means[b][:, axis : axis + 1])
         for a, b in combinations(names, 2)
     ]
-    return all(one is not None and not _far(one) for one in pairs)
+    return all(one is not None and not one.far for one in pairs)
 
 
-def _agree(
-    each: Sequence[tuple[float, float, float] | None],
-    spread: Sequence[float],
-    whole: tuple[float, float, float],
-) -> bool:
+def _agree(each: Sequence[Factor | None], spread: Sequence[float], whole: Factor) -> bool:
     """Tell whether all axes show one factor; where an axis turns too little, its noise does."""
-    low, high = whole[1] / LEAST_FACTOR, whole[1] * LEAST_FACTOR
+    low, high = whole.value / LEAST_FACTOR, whole.value * LEAST_FACTOR
     return all(
-        low < (one[1] if one is not None else size) < high
+        low < (one.value if one is not None else size) < high
         for one, size in zip(each, spread, strict=True)
     )
 
@@ -213,8 +214,8 @@ def _spread(rate: Floats, reading: Floats) -> float:
     return float(usual[1] / usual[0]) if usual[0] > 0.0 else np.inf
 
 
-def _interval(rate: Floats, reading: Floats) -> tuple[float, float, float] | None:
-    """Lowest, likeliest and highest factor of readings over rates, (n_cells, k), if any is told."""
+def _factor(rate: Floats, reading: Floats) -> Factor | None:
+    """Tell what readings are over rates, (n_cells, k), all along, if anything."""
     rows = np.flatnonzero((np.isfinite(rate) & np.isfinite(reading)).all(axis=1))
     slopes: list[tuple[float, float]] = []
     number = min(PIECES, len(rows) // FEWEST_CELLS)
@@ -231,5 +232,5 @@ def _interval(rate: Floats, reading: Floats) -> tuple[float, float, float] | Non
     sigma = NORMAL_MEDIAN * np.median(np.abs(logs - middle), axis=0)
     quantile = student_quantile(np.array([len(logs) - 1.0]), CONFIDENCE)[0]
     half = quantile * MEDIAN_SIGMA * sigma / np.sqrt(len(logs))
-    low, high = float(middle[0] - half[0]), float(middle[1] + half[1])
-    return float(np.exp(low)), float(np.exp(middle.mean())), float(np.exp(high))
+    ends = (middle[0] - half[0], middle.mean(), middle[1] + half[1])
+    return Factor(*np.exp(ends).tolist())

@@ -136,7 +136,7 @@ def test_rescaling_takes_out_what_was_put_in(factor: float, axis: int) -> None:
     multiplied = table_of(table.time_s, rate)
     found = gains(multiplied)
     assert [(one.source, one.axes) for one in found] == [("imu1", (axis,))]
-    assert found[0].low <= factor <= found[0].high
+    assert found[0].factor.low <= factor <= found[0].factor.high
     back = rescaled(multiplied, found)
     np.testing.assert_allclose(back.rate_rad_s, table.rate_rad_s, rtol=0.05, atol=0.01 * DEG)
     (finding,) = gain_findings(multiplied, found)
