@@ -44,7 +44,8 @@ LONG_S = 20.0
 gyro that it followed by a sixth of the step within the last third of so long a time."""
 CLEAR = 2.0
 """Over a shorter time a few seconds of force level an attitude that started anew, and their noise
-turns the axes that gravity seems to show: so many half-widths are asked of a gyro alone."""
+turns the axes that gravity seems to show: so many half-widths are asked of a gyro alone, or that
+half of its error shows in the attitude as it is."""
 UNTOUCHED = 1.0 / 6.0
 STEADY = 1.0 / 4.0
 """How much of a step the thirds of a span may differ by, of a sound gyro and of a failed one. Ten
@@ -161,8 +162,9 @@ def _surely(heard: Mapping[int, Testimony], named: int, *, long: bool) -> bool:
     if not others:
         # A filter follows a failed gyro, lagging; it does not run ahead of it.
         behind = said.error * said.anchored > 0.0
-        clear = long or abs(said.anchored) > CLEAR * said.anchored_half_width
-        return said.failed and behind and clear
+        shown = abs(said.error) > abs(said.anchored) / 2.0
+        clear = abs(said.anchored) > CLEAR * said.anchored_half_width
+        return said.failed and behind and (long or shown or clear)
     return not any(other.failed for other in others) and all(
         said.borne_out(said.anchored - other.anchored, SURE_ODDS) for other in others
     )
