@@ -229,6 +229,10 @@ def _factor(rate: Floats, reading: Floats) -> Factor | None:
         return None
     logs = np.array(slopes)
     middle = np.median(logs, axis=0)
+    told = np.abs(logs.mean(axis=1)) > np.log(LEAST_FACTOR)
+    if told.any() and not told.all():
+        # It was sound for a while: that is for the windows.
+        return None
     sigma = NORMAL_MEDIAN * np.median(np.abs(logs - middle), axis=0)
     quantile = student_quantile(np.array([len(logs) - 1.0]), CONFIDENCE)[0]
     half = quantile * MEDIAN_SIGMA * sigma / np.sqrt(len(logs))
