@@ -30,9 +30,9 @@ from fdilog.experiments.faults import Fault
 from fdilog.experiments.injection import inject
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.sources.assembly import choose
 from fdilog.sources.attitude import from_euler, interpolated, logged_attitude, matrices
 from fdilog.sources.clocks import HOLE_PERIODS, clean_stamps
+from fdilog.sources.gyros import choose
 from fdilog.sources.witness import attitude_stream
 
 Floats = NDArray[np.float64]

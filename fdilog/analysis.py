@@ -18,7 +18,8 @@ from fdilog.decision.judgement import Judgement, judge
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
 from fdilog.recording import Problem, Recording
-from fdilog.sources.assembly import Assembly, SourceInfo, assemble
+from fdilog.sources.assembly import Assembly, assemble
+from fdilog.sources.gyros import SourceInfo
 from fdilog.sources.offsets import ClockOffset
 from fdilog.sources.temperature import temperature_notes, temperatures
 from fdilog.table import ChannelTable

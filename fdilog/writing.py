@@ -17,8 +17,8 @@ from fdilog.errors import UsageError, nearest
 from fdilog.experiments.injection import Change, Injection
 from fdilog.recording import Recording
 from fdilog.registry import plugins
-from fdilog.sources.assembly import choose, physical_streams
 from fdilog.sources.attitude import logged_attitude
+from fdilog.sources.gyros import choose, physical_streams
 
 
 class Writer(Protocol):

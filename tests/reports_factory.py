@@ -13,7 +13,7 @@ from fdilog.config import Config
 from fdilog.finding import Evidence, Finding, Interval, Size, Windows
 from fdilog.maths.geometry import blocks, detectable, isolability_groups, leave_one_out
 from fdilog.recording import Problem
-from fdilog.sources.assembly import SourceInfo
+from fdilog.sources.gyros import SourceInfo
 from fdilog.table import Channel, ChannelTable
 from fdilog.windows.calibration import Calibration
 

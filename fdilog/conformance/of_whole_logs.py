@@ -13,7 +13,8 @@ from fdilog.conformance.examples import Columns, Example
 from fdilog.opening import HEAD_BYTES
 from fdilog.recording import Recording
 from fdilog.registry import Reader
-from fdilog.sources.assembly import channel_table, choose
+from fdilog.sources.assembly import channel_table
+from fdilog.sources.gyros import choose
 
 ROUNDING_RAD_S = 1e-3
 """The coarsest format in use (MAVLink's whole mrad/s) rounds by half of this."""

@@ -14,12 +14,8 @@ from fdilog.decision.alignment import aligned_windows
 from fdilog.decision.biases import Hearing, bias_findings
 from fdilog.decision.delays import with_delays
 from fdilog.decision.disagreement import with_disagreement
-from fdilog.decision.findings import (
-    guaranteed_findings,
-    noise_findings,
-    self_evident_findings,
-    without_swings,
-)
+from fdilog.decision.findings import guaranteed_findings, self_evident_findings
+from fdilog.decision.noises import noise_findings, without_swings
 from fdilog.decision.scales import with_scales
 from fdilog.decision.steps import steps_as_logged
 from fdilog.decision.testimony import hear

@@ -16,8 +16,8 @@ from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
 from fdilog.experiments.faults import Fault, apply, noise_sigma, touched, turned_about, turns_source
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import RAD_S, Gyro, choose
 from fdilog.sources.clocks import clean_stamps, time_base
+from fdilog.sources.gyros import RAD_S, Gyro, choose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

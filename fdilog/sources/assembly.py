@@ -1,4 +1,4 @@
-"""Which streams are gyros, which of them are one sensor, and the table they make."""
+"""The table that the gyros of a recording make: their axes, their clocks and one time base."""
 
 from __future__ import annotations
 
@@ -10,80 +10,26 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fdilog.config import Config, GyroSource
-from fdilog.errors import NoGyroError, UsageError, nearest
-from fdilog.recording import Problem, Recording, Stream
-from fdilog.sources.clocks import (
-    CleanStamps,
-    TimeBase,
-    clean_stamps,
-    hole_threshold_s,
-    nearest_samples,
-    place,
-    time_base,
+from fdilog.config import Config
+from fdilog.errors import UsageError, nearest
+from fdilog.recording import Problem, Recording
+from fdilog.sources.clocks import TimeBase, nearest_samples, place, time_base
+from fdilog.sources.gyros import (
+    AXIS_NAMES,
+    Gyro,
+    SourceInfo,
+    choose,
+    cleaned,
+    without_duplicates,
 )
+from fdilog.sources.losses import losses, stamp_problems
 from fdilog.sources.offsets import ClockOffset, estimate_offset
 from fdilog.sources.witness import SOURCE as WITNESS
 from fdilog.sources.witness import Witness, attitude_stream, find_witness
 from fdilog.table import Channel, ChannelTable
 
-RAD_S = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3}
-AXIS_NAMES = "xyz"
-MOST_EXPLAINED = 3
-MOST_LISTED = 20
-# A source that misses no more of a log than this may still be healthy over the whole of it.
-MOST_MISSED = 0.1
-# Two gyros differ by biases and noise of several quantisation steps: while they move, all axes of
-# two sensors are equal to the last bit by chance alone, once in hundreds of records. Those of one
-# sensor in two messages are equal unless the messages were filled a loop apart.
-SAME_SENSOR = 0.25
-MOVING_STEPS = 5.0
-FEWEST_TO_COMPARE = 10
 # Offsets below this part of a sampling period stay in; see `_aligned`.
 LEAST_SHIFT = 0.25
-# Beyond this a number is damage and no reading: 30 cm from the axis of such a turn, a point would
-# move at the speed of light. Characters lost on a serial line have made readings of 30 000 rad/s.
-MOST_RAD_S = 1e9
-
-
-@dataclass(frozen=True, kw_only=True)
-class SourceInfo:
-    """A stream that could have been used as a gyro, and why it was or was not."""
-
-    name: str
-    topic: str
-    used: bool
-    reason: str
-    rate_hz: float
-    samples: int
-    derived: bool
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Gyro:
-    """One source: a physical device of one or more gyros, with its readings in SI units.
-
-    Parameters
-    ----------
-    time_ns : (n,) int64
-        Stamps as logged. [ns]
-    rate_rad_s : (n, n_axes)
-        Readings. [rad/s]
-    alive : bool or None
-        Whether its accelerometer ever reads anything but zero; None if the log holds none.
-    """
-
-    name: str
-    stream: Stream
-    channel_names: tuple[str, ...]
-    time_ns: NDArray[np.int64]
-    rate_rad_s: NDArray[np.float64]
-    alive: bool | None
-
-    @property
-    def derived(self) -> bool:
-        """Whether it is a witness only."""
-        return self.stream.origin == "derived"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,28 +73,20 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     NoGyroError, UsageError
         As for `channel_table`.
     """
-    gyros, infos = choose(recording, config)
-    stamps = clean_stamps([gyro.time_ns for gyro in gyros])
+    chosen, infos = choose(recording, config)
+    gyros, stamps = cleaned(chosen)
     problems = [
         problem
         for gyro, clean in zip(gyros, stamps, strict=True)
-        for problem in _stamp_problems(gyro, clean)
+        for problem in stamp_problems(gyro, clean)
     ]
-    gyros = [
-        replace(gyro, time_ns=clean.time_ns, rate_rad_s=gyro.rate_rad_s[clean.keep])
-        for gyro, clean in zip(gyros, stamps, strict=True)
-    ]
-    gyros, infos = _without_duplicates(gyros, infos)
+    gyros, infos = without_duplicates(gyros, infos)
     axes = _axes(gyros, config)
     gyros, clocks = _aligned(gyros, axes, config)
     base = time_base([gyro.time_ns for gyro in gyros], config.tolerance.dropout_s)
     zero_ns = int(base.time_ns[0])
     restarts = [after for clean in stamps for after, _ in clean.restarts]
-    holes: list[Problem] = []
-    if not all(gyro.stream.batched for gyro in gyros):
-        holes = _holes(base, restarts, config.tolerance.dropout_s)
-    if not restarts:
-        holes += _outlasted(recording, base, config.tolerance.dropout_s)
+    problems += losses(recording, gyros, base, restarts, config)
     placed = [place(gyro.time_ns, gyro.rate_rad_s, base) for gyro in gyros]
     table = ChannelTable(
         time_s=(base.time_ns - zero_ns) / 1e9,
@@ -164,7 +102,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     return Assembly(
         table=table,
         sources=tuple(infos),
-        problems=(*problems, *_late_starts(gyros, base, config), *_not_finite(gyros), *holes),
+        problems=tuple(problems),
         zero_ns=zero_ns,
         clocks=clocks,
         witness=witness,
@@ -182,10 +120,10 @@ def _deviations(gyros: Sequence[Gyro], base: TimeBase) -> NDArray[np.float64] | 
     if all(np.array_equal(gyro.time_ns, base.time_ns) for gyro in gyros):
         return None
     columns = []
-    slowest_hz = min(_rate_hz(gyro.time_ns) for gyro in gyros)
+    slowest_hz = min(gyro.rate_hz for gyro in gyros)
     for gyro in gyros:
         time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
-        rate_hz = _rate_hz(gyro.time_ns)
+        rate_hz = gyro.rate_hz
         apart = max(1, round(rate_hz / slowest_hz)) if slowest_hz else 1
         found = from_neighbours(time_s, gyro.rate_rad_s, rate_hz, apart)
         nearest, near = nearest_samples(gyro.time_ns, base)
@@ -223,215 +161,6 @@ def _witnessed(
     return table, [*others, about], witness
 
 
-def choose(recording: Recording, config: Config) -> tuple[list[Gyro], list[SourceInfo]]:
-    """Choose one stream for each physical gyro and say why the others were not used."""
-    candidates = _candidates(recording, config)
-    by_sensor: dict[str, list[Gyro]] = {}
-    for gyro in candidates:
-        by_sensor.setdefault(gyro.name, []).append(gyro)
-    measured = any(gyro.stream.origin == "sensor" for gyro in candidates)
-    chosen: list[Gyro] = []
-    infos: list[SourceInfo] = []
-    for streams in by_sensor.values():
-        best = max(streams, key=_preference)
-        reason = _reason_against(best, measured=measured, use=config.sources.use)
-        for gyro in streams:
-            if gyro is best:
-                why = reason or f"{gyro.stream.name}, stamped by {gyro.stream.clock or 'its log'}"
-            else:
-                why = f"the same sensor as {best.stream.name}, which has more to say"
-            infos.append(_info(gyro, used=gyro is best and not reason, reason=why))
-        if not reason:
-            chosen.append(best)
-    unknown = [name for name in config.sources.use if name not in (*by_sensor, WITNESS)]
-    if unknown:
-        raise UsageError(f"no source named '{unknown[0]}'{nearest(unknown[0], list(by_sensor))}")
-    if not chosen:
-        raise NoGyroError(_nothing_found(recording, infos))
-    return chosen, infos
-
-
-def physical_streams(recording: Recording, config: Config) -> set[str]:
-    """Name the streams that an analysis uses as gyros: each physical sensor once."""
-    gyros, infos = choose(recording, config)
-    stamps = clean_stamps([gyro.time_ns for gyro in gyros])
-    gyros = [
-        replace(gyro, time_ns=clean.time_ns, rate_rad_s=gyro.rate_rad_s[clean.keep])
-        for gyro, clean in zip(gyros, stamps, strict=True)
-    ]
-    return {gyro.stream.name for gyro in _without_duplicates(gyros, infos)[0]}
-
-
-def _nothing_found(recording: Recording, infos: list[SourceInfo]) -> str:
-    if infos:
-        what = "; ".join(f"{info.topic}: {info.reason}" for info in infos[:MOST_LISTED])
-    else:
-        names = [stream.name for stream in recording.streams]
-        what = f"streams: {', '.join(names[:MOST_LISTED]) or 'none'}"
-        if len(names) > MOST_LISTED:
-            what += f" and {len(names) - MOST_LISTED} more"
-    # A note that begins with a stream's name says why nothing was found in it.
-    streams = tuple(f"{stream.name} " for stream in recording.streams)
-    of_streams = [p.what for p in recording.problems if p.note and p.what.startswith(streams)]
-    losses = [problem.what for problem in recording.problems if not problem.note]
-    why = "".join(f"; {text}" for text in (*of_streams[:MOST_EXPLAINED], *losses[:1]))
-    return f"{recording.path}: no gyro channels; {what}{why}"
-
-
-def _candidates(recording: Recording, config: Config) -> list[Gyro]:
-    named = {source.topic for source in config.sources.gyro}
-    streams = [stream for stream in recording.streams if stream.gyro and stream.name not in named]
-    numbered = [stream for stream in streams if stream.sensor is not None]
-    loose = sorted(
-        (stream for stream in streams if stream.sensor is None), key=lambda stream: stream.name
-    )
-    gyros = [_gyro(stream, f"imu{stream.sensor}", recording) for stream in numbered]
-    number = 1 + max((stream.sensor or 0 for stream in numbered), default=-1)
-    for stream in loose:
-        if stream.origin == "derived" or stream.channel_names:
-            gyros.append(_gyro(stream, stream.name, recording))
-        else:
-            gyros.append(_gyro(stream, f"imu{number}", recording))
-            number += 1
-    gyros += [_configured(recording, source) for source in config.sources.gyro]
-    return sorted(gyros, key=lambda gyro: _natural(gyro.name))
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Sort key by which imu10 comes after imu2."""
-    return [(int(part or 0), text) for text, part in re.findall(r"(\D*)(\d*)", name)]
-
-
-def _gyro(stream: Stream, name: str, recording: Recording) -> Gyro:
-    columns = [
-        np.asarray(stream.columns[field], float) * RAD_S.get(stream.units.get(field, ""), 1.0)
-        for field in stream.gyro
-    ]
-    letters = AXIS_NAMES if len(columns) == 3 else [str(k) for k in range(len(columns))]
-    rate_rad_s = np.column_stack(columns)
-    rate_rad_s[np.abs(rate_rad_s) > MOST_RAD_S] = np.nan
-    return Gyro(
-        name=name,
-        stream=stream,
-        channel_names=stream.channel_names or tuple(f"{name}.{letter}" for letter in letters),
-        time_ns=stream.time_ns,
-        rate_rad_s=rate_rad_s,
-        alive=_accelerometer_alive(stream, recording),
-    )
-
-
-def _configured(recording: Recording, source: GyroSource) -> Gyro:
-    found = [stream for stream in recording.streams if stream.name == source.topic]
-    if not found:
-        known = [stream.name for stream in recording.streams]
-        raise UsageError(
-            f"source '{source.name}': no stream '{source.topic}'{nearest(source.topic, known)}"
-        )
-    stream = found[0]
-    for field in source.fields:
-        if field not in stream.columns:
-            raise UsageError(
-                f"source '{source.name}': no field '{field}' in '{source.topic}'"
-                f"{nearest(field, list(stream.columns))}"
-            )
-    units = dict.fromkeys(source.fields, source.unit)
-    stream = replace(stream, gyro=source.fields, units=units, sensor=None, origin="sensor")
-    return _gyro(stream, source.name, recording)
-
-
-def _accelerometer_alive(stream: Stream, recording: Recording) -> bool | None:
-    """Whether any accelerometer of the same device reads anything but zero."""
-    same = [
-        other
-        for other in recording.streams
-        if other is stream or (stream.sensor is not None and other.sensor == stream.sensor)
-    ]
-    columns = [
-        np.asarray(other.columns[field], float)
-        for other in same
-        for field in other.accelerometer
-        if field in other.columns
-    ]
-    if not columns:
-        return None
-    return any(bool((np.isfinite(column) & (column != 0.0)).any()) for column in columns)
-
-
-def _preference(gyro: Gyro) -> tuple[int, bool, bool, float, int]:
-    """Sort key: what one sensor measured, what holds readings, what goes on, the faster one."""
-    rank = {"sensor": 2, "selected": 1, "derived": 0}[gyro.stream.origin]
-    alive = bool((np.isfinite(gyro.rate_rad_s) & (gyro.rate_rad_s != 0.0)).any())
-    steady = not gyro.stream.batched
-    return (rank, alive, steady, round(gyro.stream.rate_hz, 3), len(gyro.time_ns))
-
-
-def _reason_against(gyro: Gyro, *, measured: bool, use: Sequence[str]) -> str:
-    """Why this source cannot be used, or nothing."""
-    if gyro.derived:
-        return "derived from an attitude or odometry: a witness, not a gyro"
-    if gyro.stream.origin == "selected" and measured:
-        return "selected or filtered by the autopilot from one of its sensors"
-    if not len(gyro.time_ns):
-        return "no records"
-    silent = not bool((np.isfinite(gyro.rate_rad_s) & (gyro.rate_rad_s != 0.0)).any())
-    if silent and not gyro.alive:
-        return "absent: its gyro and accelerometer are zero or missing all along"
-    if use and gyro.name not in use:
-        return "not among the sources that the configuration uses"
-    return ""
-
-
-def _info(gyro: Gyro, *, used: bool, reason: str) -> SourceInfo:
-    return SourceInfo(
-        name=gyro.name,
-        topic=gyro.stream.name,
-        used=used,
-        reason=reason,
-        rate_hz=gyro.stream.rate_hz,
-        samples=len(gyro.time_ns),
-        derived=gyro.derived,
-    )
-
-
-def _without_duplicates(
-    gyros: list[Gyro], infos: list[SourceInfo]
-) -> tuple[list[Gyro], list[SourceInfo]]:
-    """Drop a source that is bit-identical to one before it: one sensor, logged twice."""
-    kept: list[Gyro] = []
-    for gyro in gyros:
-        twin = next((other for other in kept if _identical(other, gyro)), None)
-        if twin is None:
-            kept.append(gyro)
-            continue
-        reason = f"bit-identical to {twin.name} ({twin.stream.name}): one sensor logged twice"
-        infos = [
-            replace(info, used=False, reason=reason)
-            if info.used and info.name == gyro.name
-            else info
-            for info in infos
-        ]
-    return kept, infos
-
-
-def _identical(one: Gyro, other: Gyro) -> bool:
-    if one.rate_rad_s.shape[1] != other.rate_rad_s.shape[1]:
-        return False
-    from fdilog.maths.noise import quantisation_step
-
-    steps = np.array([quantisation_step(column) for column in other.rate_rad_s.T])
-    changes = np.abs(np.diff(other.rate_rad_s, axis=0, prepend=other.rate_rad_s[:1]))
-    moving = (changes > MOVING_STEPS * steps).any(axis=1) & np.isfinite(changes).all(axis=1)
-    if moving.sum() < FEWEST_TO_COMPARE:
-        return False
-    # The two are stamped apart by a message or two; equal neighbours are looked for on both sides.
-    after = np.searchsorted(one.time_ns, other.time_ns)
-    equal = np.zeros(len(other.time_ns), bool)
-    for step in (-2, -1, 0, 1):
-        index = np.clip(after + step, 0, len(one.time_ns) - 1)
-        equal |= (one.rate_rad_s[index] == other.rate_rad_s).all(axis=1)
-    return float(equal[moving].mean()) >= SAME_SENSOR
-
-
 def _aligned(
     gyros: list[Gyro], axes: NDArray[np.float64], config: Config
 ) -> tuple[list[Gyro], tuple[ClockOffset, ...]]:
@@ -440,7 +169,7 @@ def _aligned(
     An offset is taken out if it is surely more than a quarter of a sampling period: shifting
     readings by less would cost more, by interpolation, than it mends.
     """
-    edges = np.cumsum([0, *(_width(gyro) for gyro in gyros)])
+    edges = np.cumsum([0, *(gyro.width for gyro in gyros)])
     frames = [axes[a:b] for a, b in pairwise(edges)]
     first_ns = int(gyros[0].time_ns[0])
     moved = gyros[:1]
@@ -458,7 +187,7 @@ def _aligned(
         if offset is not None:
             found.append(offset)
             surely_s = max(offset.low, -offset.high)
-            if surely_s * _rate_hz(gyro.time_ns) > LEAST_SHIFT:
+            if surely_s * gyro.rate_hz > LEAST_SHIFT:
                 late_ns = round(offset.offset_s * 1e9)
         moved.append(replace(gyro, time_ns=gyro.time_ns - late_ns))
     return moved, tuple(found)
@@ -490,12 +219,8 @@ def _axes(gyros: list[Gyro], config: Config) -> NDArray[np.float64]:
         except ValueError as error:
             raise UsageError(f"{error} (channels: {', '.join(names)})") from None
     else:
-        axes = np.array([_axis_by_name(gyro, k) for gyro in gyros for k in range(_width(gyro))])
+        axes = np.array([_axis_by_name(gyro, k) for gyro in gyros for k in range(gyro.width)])
     return _mounted(axes, gyros, config)
-
-
-def _width(gyro: Gyro) -> int:
-    return len(gyro.channel_names)
 
 
 def _axis_by_name(gyro: Gyro, k: int) -> list[float]:
@@ -519,7 +244,7 @@ def _mounted(axes: NDArray[np.float64], gyros: list[Gyro], config: Config) -> ND
     turned = axes.copy()
     first = 0
     for gyro in gyros:
-        last = first + _width(gyro)
+        last = first + gyro.width
         mounting = config.geometry.mounting.get(gyro.name)
         if mounting:
             turned[first:last] = axes[first:last] @ rotation_matrix(mounting["quaternion"]).T
@@ -555,7 +280,7 @@ def _channels(gyros: list[Gyro], axes: NDArray[np.float64], base: TimeBase) -> t
                     name=name,
                     source=gyro.name or name,
                     axis=(float(axis[0]), float(axis[1]), float(axis[2])),
-                    rate_hz=_rate_hz(gyro.time_ns),
+                    rate_hz=gyro.rate_hz,
                     samples=len(readings),
                     step_rad_s=float(quantisation_step(readings)),
                     derived=gyro.derived,
@@ -564,121 +289,3 @@ def _channels(gyros: list[Gyro], axes: NDArray[np.float64], base: TimeBase) -> t
                 )
             )
     return tuple(channels)
-
-
-def _rate_hz(time_ns: NDArray[np.int64]) -> float:
-    return 1e9 / float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
-
-
-def _stamp_problems(gyro: Gyro, clean: CleanStamps) -> list[Problem]:
-    topic = gyro.stream.name
-    problems = []
-    if clean.repeated:
-        what = f"{topic}: {clean.repeated} records repeat the time stamp before them; left out"
-        problems.append(Problem(what=what, note=True))
-    if clean.late:
-        were = "record was" if clean.late == 1 else "records were"
-        what = f"{topic}: {clean.late} {were} held up and stamped too late, in bursts; left out"
-        problems.append(Problem(what=what, note=True))
-    if clean.misplaced:
-        are = "record is" if clean.misplaced == 1 else "records are"
-        what = f"{topic}: {clean.misplaced} {are} stamped out of order; left out"
-        problems.append(Problem(what=what))
-    problems += [
-        Problem(
-            what=f"{topic}: the clock jumps back by {back / 1e9:.3f} s (a restart);"
-            " what follows is a stretch of its own, the pause before it unknown"
-        )
-        for _, back in clean.restarts
-    ]
-    return problems
-
-
-def _late_starts(gyros: Sequence[Gyro], base: TimeBase, config: Config) -> list[Problem]:
-    """List the sources that were recorded later than the others; a while is usual and only noted.
-
-    Drivers and nodes start one after another, so that it is no failure. But nobody knows what such
-    a gyro did before. Batches come one after another, and what lies between them is no loss.
-    """
-    length_s = (int(base.time_ns[-1]) - int(base.time_ns[0])) / 1e9
-    problems = []
-    for gyro in gyros:
-        late_s = (int(gyro.time_ns[0]) - int(base.time_ns[0])) / 1e9 if len(gyro.time_ns) else 0.0
-        allowed_s = hole_threshold_s(base.period_ns / 1e9, config.tolerance.dropout_s)
-        if gyro.stream.batched or late_s <= allowed_s:
-            continue
-        what = f"{gyro.stream.name}: nothing recorded before {late_s:.3f} s, while other gyros were"
-        usual = late_s <= MOST_MISSED * length_s
-        problems.append(Problem(what=what, seconds_lost=None if usual else late_s, note=usual))
-    return problems
-
-
-def _not_finite(gyros: list[Gyro]) -> list[Problem]:
-    problems = []
-    for gyro in gyros:
-        for k, name in enumerate(gyro.channel_names):
-            bad = int((~np.isfinite(gyro.rate_rad_s[:, k])).sum())
-            if bad:
-                lost = bad / _rate_hz(gyro.time_ns) if len(gyro.time_ns) > 1 else None
-                what = f"{name}: {bad} readings are not finite numbers, or beyond any turn"
-                problems.append(Problem(what=what, seconds_lost=lost))
-    return problems
-
-
-def _holes(base: TimeBase, restarts: Sequence[int], dropout_s: float) -> list[Problem]:
-    """List the stretches in which every gyro is silent, restarts of the clock apart."""
-    steps = np.diff(base.time_ns)
-    limit = hole_threshold_s(base.period_ns / 1e9, dropout_s) * 1e9
-    starts = np.flatnonzero(steps > limit)
-    known = set(restarts)
-    starts = np.array([k for k in starts if int(base.time_ns[k]) not in known], int)
-    lost = (steps[starts] - base.period_ns) / 1e9
-    from_s = (base.time_ns[starts] - base.time_ns[0]) / 1e9
-    problems = [
-        Problem(
-            what=f"no gyro was recorded from {start:.3f} s to {start + step / 1e9:.3f} s",
-            seconds_lost=float(seconds),
-        )
-        for start, step, seconds in zip(
-            from_s[:MOST_LISTED], steps[starts][:MOST_LISTED], lost, strict=False
-        )
-    ]
-    if len(starts) > MOST_LISTED:
-        rest = float(lost[MOST_LISTED:].sum())
-        what = f"{len(starts) - MOST_LISTED} more holes in which no gyro was recorded"
-        problems.append(Problem(what=what, seconds_lost=rest))
-    return problems
-
-
-def _outlasted(recording: Recording, base: TimeBase, dropout_s: float) -> list[Problem]:
-    """Say if the vehicle's other senses were recorded long before, or after, any gyro was.
-
-    What is recorded begins at different times; so a while is asked before, and none after.
-    """
-    first_ns, last_ns = int(base.time_ns[0]), int(base.time_ns[-1])
-    end_s = (last_ns - first_ns) / 1e9
-    limit_s = hole_threshold_s(base.period_ns / 1e9, dropout_s)
-    before, after = ("", MOST_MISSED * end_s), ("", 0.0)
-    for stream in recording.streams:
-        senses = stream.origin == "derived" or any(
-            (stream.gyro, stream.accelerometer, stream.compass, stream.velocity)
-        )
-        if not senses or not stream.rate_hz:
-            continue
-        begin_ns, stop_ns = int(stream.time_ns.min()), int(stream.time_ns.max())
-        # One that is apart is stamped by another clock, or of another flight.
-        if begin_ns > last_ns or stop_ns < first_ns:
-            continue
-        least_s = limit_s + 1.0 / stream.rate_hz
-        earlier_s, later_s = (first_ns - begin_ns) / 1e9, (stop_ns - last_ns) / 1e9
-        before = (stream.name, earlier_s) if earlier_s > max(before[1], least_s) else before
-        after = (stream.name, later_s) if later_s > max(after[1], least_s) else after
-    problems = []
-    if before[0]:
-        what = f"no gyro was recorded before 0.000 s, while {before[0]} was from -{before[1]:.3f} s"
-        problems.append(Problem(what=what, seconds_lost=before[1]))
-    if after[0]:
-        until_s = end_s + after[1]
-        what = f"no gyro was recorded after {end_s:.3f} s, while {after[0]} was until"
-        problems.append(Problem(what=f"{what} {until_s:.3f} s", seconds_lost=after[1]))
-    return problems

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fdilog.maths.student import student_quantile
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import SourceInfo
+from fdilog.sources.gyros import SourceInfo
 from fdilog.table import ChannelTable
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog_readers.dataflash_layout import FIELDS, FMT, HEADER, MAGIC, Layout
 from fdilog_readers.dataflash_patch import patch
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import Gyro
+from fdilog.sources.gyros import Gyro
 from fdilog_readers import reported
 from fdilog_readers.mavlink_dialect import CHECKSUM_BYTES, HEADER_V2, V2, checksums, dialect
 from fdilog_readers.triads import numbered_triads

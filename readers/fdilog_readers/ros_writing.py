@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import Gyro, choose
 from fdilog.sources.attitude import logged_attitude
+from fdilog.sources.gyros import Gyro, choose
 
 Floats = NDArray[np.float64]
 Message = tuple[int, str, bytes]

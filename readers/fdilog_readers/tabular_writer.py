@@ -10,8 +10,8 @@ from pathlib import Path
 
 from fdilog.config import Config
 from fdilog.recording import Recording
-from fdilog.sources.assembly import choose
 from fdilog.sources.clocks import clean_stamps, place, time_base
+from fdilog.sources.gyros import choose
 
 suffix = ".csv"
 

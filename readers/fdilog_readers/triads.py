@@ -9,7 +9,7 @@ from pathlib import Path
 from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.recording import Recording
-from fdilog.sources.assembly import Gyro, choose
+from fdilog.sources.gyros import Gyro, choose
 
 
 def numbered_triads(recording: Recording, path: Path, lacking: str) -> Mapping[int, Gyro]:

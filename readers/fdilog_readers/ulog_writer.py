@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fdilog.experiments.motion import quaternion
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import Gyro
+from fdilog.sources.gyros import Gyro
 from fdilog_readers import reported
 from fdilog_readers.triads import numbered_triads
 from fdilog_readers.ulog_layout import HEADER_BYTES, MAGIC, TYPES

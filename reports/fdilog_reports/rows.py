@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fdilog.analysis import Analysis
 from fdilog.finding import SIZE_UNIT, Finding
 from fdilog.recording import Problem
-from fdilog.sources.assembly import SourceInfo
+from fdilog.sources.gyros import SourceInfo
 from fdilog_reports import sentences
 from fdilog_reports.next_steps import next_step
 from fdilog_reports.residuals import drawn_evidence, intervals

@@ -14,7 +14,7 @@ import pytest
 from fdilog.cli import main
 from fdilog.config import Config
 from fdilog.registry import plugins, read
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 
 Results = dict[str, tuple[int, dict[str, Any]]]
 

@@ -12,7 +12,8 @@ from fdilog.experiments.faults import Fault, FaultKind
 from fdilog.experiments.injection import inject
 from fdilog.recording import Recording
 from fdilog.registry import read
-from fdilog.sources.assembly import Gyro, assemble, choose
+from fdilog.sources.assembly import assemble
+from fdilog.sources.gyros import Gyro, choose
 from fdilog.writing import write_injected
 from tests.ulog_oracle import official
 

@@ -13,7 +13,7 @@ from fdilog.experiments.simulate import simulate
 from fdilog.export import export
 from fdilog.recording import Recording
 from fdilog.registry import plugins, read
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog.writing import write
 
 NAMES = [

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as protocol
 from fdilog.config import Config
 from fdilog.errors import NoGyroError, UnreadableLogError
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog_readers import mavlink
 from fdilog_readers.mavlink_dialect import checksums, dialect
 from tests.mavlink_oracle import (

@@ -12,7 +12,7 @@ from fdilog.config import Config
 from fdilog.errors import UsageError
 from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog_readers import mavlink, mavlink_writer
 from tests.mavlink_oracle import official
 

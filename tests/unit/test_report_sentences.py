@@ -12,7 +12,7 @@ from fdilog.analysis import Part
 from fdilog.config import Config
 from fdilog.decision.autopilot import AutopilotNote
 from fdilog.finding import Finding, Size
-from fdilog.sources.assembly import SourceInfo
+from fdilog.sources.gyros import SourceInfo
 from fdilog_reports import html
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
 from fdilog_reports.view import report

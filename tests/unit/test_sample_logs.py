@@ -15,7 +15,7 @@ import pytest
 from fdilog.config import Config
 from fdilog.experiments.faults import Fault
 from fdilog.registry import read
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 
 KILOBYTE = 1000
 

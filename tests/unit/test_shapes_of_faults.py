@@ -9,11 +9,11 @@ import pytest
 
 from fdilog.config import Config
 from fdilog.decision.judgement import judge
-from fdilog.detectors.excess_noise import capped_sigma
 from fdilog.finding import Finding
 from fdilog.sources.offsets import estimate_offset
 from fdilog.windows.calibration import calibrate
 from fdilog.windows.edges import best_ramp, best_scale, best_step
+from fdilog.windows.loudness import capped_sigma
 from tests.tables import DEG, changed, table_of, triads
 
 CONFIG = Config()

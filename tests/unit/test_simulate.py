@@ -241,7 +241,7 @@ def test_five_times_the_noise_is_five_times_what_the_gyro_has_of_its_own() -> No
 
 def test_channels_are_named_as_an_analysis_names_them() -> None:
     from fdilog.config import Config
-    from fdilog.sources.assembly import choose
+    from fdilog.sources.gyros import choose
 
     for settings in ({"sources": 2}, {"geometry": "pentagon"}, {"geometry": "dodecahedron"}):
         flight = simulate(10.0, seed=1, **settings)

@@ -11,7 +11,7 @@ import pytest
 from fdilog.config import Config
 from fdilog.errors import UnreadableLogError
 from fdilog.recording import Recording, Stream
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog_readers import ulog
 from tests.ulog_oracle import (
     GYRO_0,

@@ -15,7 +15,7 @@ from fdilog.experiments.injection import inject
 from fdilog.experiments.simulate import simulate
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.sources.assembly import choose
+from fdilog.sources.gyros import choose
 from fdilog.writing import write, write_injected
 from fdilog_readers import ulog, ulog_writer
 from tests.ulog_oracle import official

@@ -15,7 +15,8 @@ from fdilog.experiments.flight import FIRMWARE, Flight
 from fdilog.experiments.simulate import Timing, simulate
 from fdilog.recording import Recording, Stream
 from fdilog.registry import read
-from fdilog.sources.assembly import assemble, choose
+from fdilog.sources.assembly import assemble
+from fdilog.sources.gyros import choose
 from fdilog.writing import write
 
 
