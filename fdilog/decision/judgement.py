@@ -10,27 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import Config
-from fdilog.decision.alignment import aligned_windows
 from fdilog.decision.biases import Hearing, bias_findings
 from fdilog.decision.delays import with_delays
 from fdilog.decision.disagreement import with_disagreement
 from fdilog.decision.findings import guaranteed_findings, self_evident_findings
 from fdilog.decision.noises import noise_findings, without_swings
 from fdilog.decision.scales import with_scales
-from fdilog.decision.steps import steps_as_logged
 from fdilog.decision.testimony import hear
 from fdilog.decision.verdict import channel_status, with_witness
+from fdilog.decision.windowed import windowed
 from fdilog.finding import Evidence, Finding, Status
 from fdilog.maths.geometry import blocks, detectable
-from fdilog.registry import Detector, detectors, plugins
+from fdilog.registry import detectors, plugins
 from fdilog.sources.gains import gain_findings, gains, rescaled
 from fdilog.sources.mounting import mounting_findings, mountings, turned_back
 from fdilog.sources.witness import Witness
 from fdilog.table import ChannelTable
-from fdilog.windows.bursts import burst_windows
-from fdilog.windows.calibration import Calibration, calibrate, with_notes
-from fdilog.windows.slopes import scale_evidence
-from fdilog.windows.survey import Survey, cut, spans
+from fdilog.windows.calibration import Calibration, with_notes
+from fdilog.windows.survey import Survey, spans
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +76,7 @@ def judge(
     testified = with_derived(heard, table)
     if witness is not None:
         heard = testified.columns(compared_channels(testified))
-    sound, calibration, compared = _compared(heard, chosen, config, progress)
+    sound, calibration, compared = windowed(heard, chosen, config, progress)
     notes = {one.source: one.note for one in multiplied} | mounted.notes()
     calibration = with_notes(calibration, notes)
     sampled: list[Evidence] = []
@@ -123,53 +120,6 @@ def judge(
         ),
         calibration=calibration,
     )
-
-
-def _compared(
-    table: ChannelTable,
-    chosen: Sequence[tuple[str, Detector]],
-    config: Config,
-    progress: Callable[[str], None],
-) -> tuple[ChannelTable, tuple[Calibration, ...], list[Evidence]]:
-    """Calibrate a table and compare its channels; where there are faults, calibrate without."""
-    sound, calibration = calibrate(table, config)
-    compared = _windowed(sound, chosen, config, progress)
-    biased = [item for item in compared if item.kind == "bias"]
-    steps = steps_as_logged(table, sound, biased, config)
-    if steps.any():
-        sound, calibration = calibrate(table, config, steps)
-        compared = _windowed(sound, chosen, config, progress)
-    return sound, calibration, compared
-
-
-def _windowed(
-    table: ChannelTable,
-    chosen: Sequence[tuple[str, Detector]],
-    config: Config,
-    progress: Callable[[str], None],
-) -> list[Evidence]:
-    """Ask the detectors of windows: regular ones, then those laid where the first is in doubt."""
-    asked = [(name, detector) for name, detector in chosen if detector.stage == "windows"]
-    found: list[Evidence] = []
-    for windows in cut(table, config):
-        survey = Survey(table=table, windows=windows, config=config)
-        for name, detector in asked:
-            progress(f"{name}, {windows.length_s:g} s windows")
-            found.extend(detector.detect(survey))
-        found.append(scale_evidence(survey))
-    biased = [item for item in found if item.kind == "bias"]
-    leading = [item for item in biased if item.detector == biased[0].detector]
-    # What stands off for a moment does so by more than this flight's swells in all the hours of the
-    # budget; that is asked already, and too much of a few readings.
-    screened = config.replace("windows", false_findings_per_hour=float("inf"))
-    aligned, bursts = aligned_windows(table, leading), burst_windows(table, config)
-    for laid, settings in ((aligned, config), (bursts, screened)):
-        if laid is not None:
-            survey = Survey(table=table, windows=laid, config=settings)
-            for name, detector in asked:
-                progress(f"{name}, windows laid to fit")
-                found.extend(item for item in detector.detect(survey) if item.kind == "bias")
-    return found
 
 
 def _hearing(witness: Witness, table: ChannelTable, config: Config) -> Hearing:

@@ -107,6 +107,15 @@ def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
     return deviation / DEVIATION_GAIN, np.column_stack(own) / DEVIATION_GAIN
 
 
+def _quantile(values: Floats, share: float) -> float:
+    """Return what `numpy.quantile` does, several times as fast where the values are few."""
+    place = (len(values) - 1) * share
+    below = int(place)
+    above = min(below + 1, len(values) - 1)
+    ordered = np.partition(values, (below, above))
+    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
+
+
 def noise_peers(table: ChannelTable, channel: int) -> NDArray[np.int64]:
     """Channels whose noise is comparable: those along the same axis, else all others."""
     axes = table.axes
@@ -243,9 +252,7 @@ def of_comparable(shaking: Floats, values: Floats, common: Floats, share: float)
     first = np.searchsorted(shaking, now - COMPARABLE_OCTAVES)
     last = np.searchsorted(shaking, now + COMPARABLE_OCTAVES)
     pairs, which = np.unique(np.column_stack([first, last]), axis=0, return_inverse=True)
-    each = np.array(
-        [np.quantile(values[a:b], share) if b > a else np.nan for a, b in pairs.tolist()]
-    )
+    each = np.array([_quantile(values[a:b], share) if b > a else np.nan for a, b in pairs.tolist()])
     usual[known] = each[which]
     return usual
 
