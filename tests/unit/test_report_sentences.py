@@ -178,6 +178,25 @@ def test_a_gyro_that_only_a_model_of_the_vehicle_checks_is_said_to_be() -> None:
     )
 
 
+def test_what_an_attitude_does_not_tell_of_a_gyro_is_said_where_no_other_gyro_checks_it() -> None:
+    two = table(sources=2)
+    one = replace(
+        two,
+        channels=tuple(
+            replace(c, name=f"att.{c.name[-1]}", source="att", derived=True)
+            if c.source == "imu1"
+            else c
+            for c in two.channels
+        ),
+    )
+    why = (
+        ": checked by no other gyro, so noise, a scale error, or a few readings that are off by no"
+        " more than a vehicle may turn would hardly have shown."
+    )
+    assert "imu0.x, imu0.y and imu0.z" + why in blind_spots(analysis(one))
+    assert not any(why in said for said in blind_spots(analysis(two)))
+
+
 def test_pairs_that_cannot_be_told_apart_are_listed() -> None:
     said = blind_spots(pair_analysis())
     assert said[0] == (
