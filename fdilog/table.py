@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +90,7 @@ class ChannelTable:
             )
         if n_samples > 1 and not bool((np.diff(self.time_s) > 0).all()):
             raise ValueError("time_s must increase strictly")
-        if not bool(np.isfinite(self.rate_rad_s[self.valid]).all()):
+        if not bool((np.isfinite(self.rate_rad_s) | ~self.valid).all()):
             raise ValueError("a valid reading must be finite")
         if self.period_s <= 0.0:
             step = float(np.median(np.diff(self.time_s))) if n_samples > 1 else 0.0
@@ -126,16 +126,21 @@ class ChannelTable:
         return self.columns([k for k, channel in enumerate(self.channels) if not channel.derived])
 
     def columns(self, kept: Sequence[int]) -> ChannelTable:
-        """Return the table with some of its channels, in the order given."""
+        """Return the table with some of its channels, in the order given.
+
+        Neighbouring ones are a view: a long flight is not held in memory once again.
+        """
         if list(kept) == list(range(len(self.channels))):
             return self
+        neighbours = len(kept) > 0 and list(kept) == list(range(kept[0], kept[0] + len(kept)))
+        chosen = slice(kept[0], kept[0] + len(kept)) if neighbours else list(kept)
         deviation = self.deviation_rad_s
         return replace(
             self,
-            rate_rad_s=self.rate_rad_s[:, list(kept)],
-            valid=self.valid[:, list(kept)],
+            rate_rad_s=self.rate_rad_s[:, chosen],
+            valid=self.valid[:, chosen],
             channels=tuple(self.channels[k] for k in kept),
-            deviation_rad_s=None if deviation is None else deviation[:, list(kept)],
+            deviation_rad_s=None if deviation is None else deviation[:, chosen],
         )
 
     def beside(
@@ -148,12 +153,12 @@ class ChannelTable:
         deviation = self.deviation_rad_s
         return replace(
             self,
-            rate_rad_s=np.column_stack([self.rate_rad_s, rate_rad_s]),
-            valid=np.column_stack([self.valid, valid]),
+            rate_rad_s=side_by_side([self.rate_rad_s, rate_rad_s]),
+            valid=side_by_side([self.valid, valid]),
             channels=(*self.channels, *channels),
             deviation_rad_s=None
             if deviation is None
-            else np.column_stack([deviation, np.full_like(rate_rad_s, np.nan)]),
+            else side_by_side([deviation, np.full_like(rate_rad_s, np.nan)]),
         )
 
     def between(self, start_s: float, end_s: float) -> ChannelTable:
@@ -220,3 +225,8 @@ class ChannelTable:
             )
         )
         return cls(time_s=time, rate_rad_s=rate, valid=valid, channels=channels, period_s=step)
+
+
+def side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Join arrays of columns, each column in one piece of memory."""
+    return np.concatenate([part.T for part in columns]).T

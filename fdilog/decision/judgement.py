@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,7 @@ def judge(
             found = detector.detect(Survey(table=heard, windows=whole, config=config))
             heard = without(heard, found)
             alone.extend(found)
-    testified = with_derived(heard, table)
+    testified = table if heard is gyros else with_derived(heard, table)
     if witness is not None:
         heard = testified.columns(compared_channels(testified))
     sound, calibration, compared = windowed(heard, chosen, config, progress)
@@ -113,10 +114,11 @@ def judge(
     return Judgement(
         findings=tuple(findings),
         status=status,
-        evidence=tuple(
-            _spread_over(table, of_columns, item)
-            for of_columns, items in ((gyros, alone), (heard, (*sampled, *compared, *noisy)))
-            for item in items
+        evidence=(
+            *_spread_over(table, gyros, alone),
+            *_spread_over(table, heard, sampled),
+            *_spread_over(table, heard, compared),
+            *_spread_over(table, heard, noisy),
         ),
         calibration=calibration,
     )
@@ -144,26 +146,38 @@ def compared_channels(table: ChannelTable) -> list[int]:
     return [k for k, channel in enumerate(table.channels) if not channel.derived or k in needed]
 
 
-def _spread_over(table: ChannelTable, part: ChannelTable, evidence: Evidence) -> Evidence:
-    """Lay evidence on some channels of a table out over all of them; the others are not tested."""
-    if part.names == table.names:
-        return evidence
+def _spread_over(
+    table: ChannelTable, part: ChannelTable, evidence: list[Evidence]
+) -> Iterator[Evidence]:
+    """Lay evidence on some channels of a table out over all of them; the others are not tested.
+
+    Evidence on every sample of a flight is large: what is laid out is taken from the list.
+    """
     columns = [table.names.index(name) for name in part.names]
-    shape = (len(evidence.windows), len(table.channels))
+    while evidence:
+        item = evidence.pop(0)
+        shape = (len(item.windows), len(table.channels))
+        laid = partial(_laid, columns=columns, shape=shape)
+        yield replace(
+            item,
+            tested=laid(item.tested, filling=False),
+            low=laid(item.low, filling=-np.inf),
+            high=laid(item.high, filling=np.inf),
+            tolerance=laid(item.tolerance, filling=np.nan),
+            accused=laid(item.accused, filling=0),
+        )
 
-    def laid(values: NDArray[Any], filling: Any) -> NDArray[Any]:
-        wide = np.full(shape, filling, values.dtype)
-        wide[:, columns] = values
-        return wide
 
-    return replace(
-        evidence,
-        tested=laid(evidence.tested, filling=False),
-        low=laid(evidence.low, -np.inf),
-        high=laid(evidence.high, np.inf),
-        tolerance=laid(evidence.tolerance, np.nan),
-        accused=laid(evidence.accused, 0),
-    )
+def _laid(
+    values: NDArray[Any], filling: object, columns: list[int], shape: tuple[int, int]
+) -> NDArray[Any]:
+    """Lay values for some channels out over all; what is the same in all windows is held once."""
+    if values.shape == shape:
+        return values
+    rows = 1 if len(values) and values.strides[0] == 0 else len(values)
+    wide = np.full((rows, shape[1]), filling, values.dtype)
+    wide[:, columns] = values[:rows]
+    return np.broadcast_to(wide, shape)
 
 
 def _default_order(known: dict[str, object]) -> list[str]:
@@ -173,7 +187,7 @@ def _default_order(known: dict[str, object]) -> list[str]:
 
 def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
     """Return the table with the readings that a channel's own evidence accuses marked invalid."""
-    if not evidence:
+    if not any(item.accused.any() for item in evidence):
         return table
     valid = table.valid.copy()
     for item in evidence:

@@ -26,7 +26,7 @@ from fdilog.sources.losses import losses, stamp_problems
 from fdilog.sources.offsets import ClockOffset, estimate_offset
 from fdilog.sources.witness import SOURCE as WITNESS
 from fdilog.sources.witness import Witness, attitude_stream, find_witness
-from fdilog.table import Channel, ChannelTable
+from fdilog.table import Channel, ChannelTable, side_by_side
 
 # Offsets below this part of a sampling period stay in; see `_aligned`.
 LEAST_SHIFT = 0.25
@@ -90,8 +90,8 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     placed = [place(gyro.time_ns, gyro.rate_rad_s, base) for gyro in gyros]
     table = ChannelTable(
         time_s=(base.time_ns - zero_ns) / 1e9,
-        rate_rad_s=np.concatenate([rate for rate, _ in placed], axis=1),
-        valid=np.concatenate([valid for _, valid in placed], axis=1),
+        rate_rad_s=side_by_side([rate for rate, _ in placed]),
+        valid=side_by_side([valid for _, valid in placed]),
         channels=_channels(gyros, axes, base),
         period_s=base.period_ns / 1e9,
         deviation_rad_s=_deviations(gyros, base),
@@ -128,7 +128,7 @@ def _deviations(gyros: Sequence[Gyro], base: TimeBase) -> NDArray[np.float64] | 
         found = from_neighbours(time_s, gyro.rate_rad_s, rate_hz, apart)
         nearest, near = nearest_samples(gyro.time_ns, base)
         columns.append(np.where(near[:, None], found[nearest], np.nan))
-    return np.concatenate(columns, axis=1)
+    return side_by_side(columns)
 
 
 def _witnessed(

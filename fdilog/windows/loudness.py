@@ -104,7 +104,7 @@ def shown_noise(table: ChannelTable) -> tuple[Floats, Floats]:
         own_noise(table, channel, noise_peers(table, channel), deviation[:, channel])
         for channel in range(len(table.channels))
     ]
-    return deviation / DEVIATION_GAIN, np.column_stack(own) / DEVIATION_GAIN
+    return deviation / DEVIATION_GAIN, np.array(own).T / DEVIATION_GAIN
 
 
 def _quantile(values: Floats, share: float) -> float:

@@ -60,7 +60,7 @@ def deviations(table: ChannelTable) -> Floats:
 
 
 def _deviations(table: ChannelTable) -> Floats:
-    deviation = np.full(table.rate_rad_s.shape, np.nan)
+    deviation = np.full(table.rate_rad_s.shape, np.nan, order="F")
     for channel in range(len(table.channels)):
         rows = np.flatnonzero(table.valid[:, channel])
         readings = table.rate_rad_s[rows, channel]
