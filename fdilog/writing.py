@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol, runtime_checkable
 
 from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
@@ -36,6 +36,7 @@ class Writer(Protocol):
         """
 
 
+@runtime_checkable
 class Patcher(Protocol):
     """A writer that can also change a log in place, keeping every byte that does not matter."""
 
@@ -82,8 +83,8 @@ def write_injected(injection: Injection, log: str | Path, path: str | Path) -> N
     log, path = Path(log), Path(path)
     if path.exists() and path.samefile(log):
         raise UsageError(f"{path}: is the log itself; name another file for the copy")
-    writer: Any = _writer(path)
-    if not hasattr(writer, "patch") or log.suffix.lower() != path.suffix.lower():
+    writer = _writer(path)
+    if not isinstance(writer, Patcher) or log.suffix.lower() != path.suffix.lower():
         write(_anew(injection, path), path)
         return
     with _one_line(path):

@@ -15,7 +15,6 @@ CHECKSUM_BYTES = 2
 SIGNED = 1  # the only incompatibility flag that there is
 SIGNATURE_BYTES = 13
 LONGEST_PACKET = HEADER_V2 + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
-SHORTEST_PACKET = HEADER_V1 + CHECKSUM_BYTES
 UNKNOWN_ID = 1 << 16  # stands for every id beyond: no dialect has any there
 POLYNOMIAL = 0x8408  # x^16 + x^12 + x^5 + 1, least significant bit first
 
