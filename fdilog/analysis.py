@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import Config, load_config
-from fdilog.decision.autopilot import STREAMS, AutopilotNote, autopilot_notes, with_quotes
+from fdilog.decision.autopilot import (
+    MOST_NOTES,
+    STREAMS,
+    AutopilotNote,
+    autopilot_notes,
+    with_quotes,
+)
 from fdilog.decision.judgement import Judgement, judge
 from fdilog.errors import NoGyroError, UsageError
 from fdilog.finding import Evidence, Finding, Status, Verdict
@@ -226,7 +232,7 @@ def analyse_recording(
     calibration = judged.calibration
     if not any(finding.kind == "mounting" for finding in judged.findings):
         measured = temperatures(recording, assembly.sources, assembly.zero_ns)
-        warmth = temperature_notes(table, measured, config.windows.confidence)
+        warmth = temperature_notes(judged.table, measured, config.windows.confidence)
         calibration = with_notes(calibration, warmth)
     quoted = autopilot_notes(
         recording,
@@ -249,7 +255,7 @@ def analyse_recording(
         evidence=judged.evidence,
         config=config,
         part=part,
-        autopilot=quoted,
+        autopilot=quoted[:MOST_NOTES],
     )
 
 

@@ -43,7 +43,7 @@ class Difference:
     Parameters
     ----------
     of
-        What it is about: ``verdict``, ``channel imu0.x``, ``finding bias of imu1.y at 20 s``.
+        What it is about: ``verdict``, ``channel imu0.x``, ``finding bias of imu1.y at 20.0 s``.
     before, after
         What each result says, in words; None where it says nothing.
     """
@@ -108,7 +108,8 @@ def compare(before: Result, after: Result) -> Comparison:
         If a result lacks what its schema promises.
     """
     try:
-        one_log = before["log"].get("sha256") == after["log"].get("sha256")
+        hashes = before["log"].get("sha256"), after["log"].get("sha256")
+        one_log = bool(hashes[0]) and hashes[0] == hashes[1]
         return Comparison(
             before=str(before["log"]["path"]),
             after=str(after["log"]["path"]),

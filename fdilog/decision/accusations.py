@@ -95,19 +95,24 @@ def clusters(
     time_s: NDArray[np.float64], accused: Sequence[Accusation], reach_s: float = 0.0
 ) -> list[Cluster]:
     """Join accusations that share a suspect and are no further apart than their windows reach."""
-    found: list[Cluster] = []
-    for item in sorted(accused, key=lambda a: (a.start, a.stop, -a.length_s, sorted(a.suspects))):
+    furthest_s = max([reach_s, *(item.length_s / 2 for item in accused)])
+    # With the number of what was joined last; those that nothing later can reach are done.
+    done: list[tuple[int, Cluster]] = []
+    found: list[tuple[int, Cluster]] = []
+    in_order = sorted(accused, key=lambda a: (a.start, a.stop, -a.length_s, sorted(a.suspects)))
+    for number, item in enumerate(in_order):
         merged = Cluster.of(item)
-        apart = []
-        for other in found:
+        apart: list[tuple[int, Cluster]] = []
+        for last, other in found:
             gap_s = time_s[merged.start] - time_s[other.stop - 1]
             near = gap_s <= max(merged.longest_s / 2, other.longest_s / 2, reach_s)
             if near and other.suspects & merged.suspects:
                 merged = merged.joined(other)
             else:
-                apart.append(other)
-        found = [*apart, merged]
-    return found
+                reached = time_s[item.start] - time_s[other.stop - 1] <= furthest_s
+                (apart if reached else done).append((last, other))
+        found = [*apart, (number, merged)]
+    return [cluster for _, cluster in sorted([*done, *found], key=lambda one: one[0])]
 
 
 class Span(Protocol):

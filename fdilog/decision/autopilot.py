@@ -104,7 +104,7 @@ def autopilot_notes(
         if note.gyro is None or note.gyro in gyros
     ]
     found.sort(key=lambda note: (note.start_s, note.end_s, note.source, note.what))
-    return tuple(found[:MOST_NOTES])
+    return tuple(found)
 
 
 def with_quotes(
@@ -116,7 +116,9 @@ def with_quotes(
     flags = {
         f"imu{stream.sensor}": stream.name
         for stream in recording.streams
-        if stream.sensor is not None and HEALTHY_FLAG in stream.columns
+        if stream.sensor is not None
+        and HEALTHY_FLAG in stream.columns
+        and bool((_whole(stream, HEALTHY_FLAG) != 0).all())
     }
     return tuple(_quoted(finding, notes, flags) for finding in findings)
 
@@ -130,11 +132,10 @@ def _quoted(finding: Finding, notes: Sequence[AutopilotNote], flags: dict[str, s
         and note.start_s <= finding.end_s + NEAR_S
         and note.end_s >= finding.start_s - NEAR_S
     ]
-    complained = {note.gyro for note in notes if note.what == UNHEALTHY}
     said += [
         f"{flags[device]}.{HEALTHY_FLAG} called it healthy all along"
         for device in devices
-        if device in flags and device not in complained
+        if device in flags
     ]
     if not said:
         return finding

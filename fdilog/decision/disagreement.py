@@ -22,7 +22,7 @@ from fdilog.decision.biases import finding_of
 from fdilog.decision.shapes import Fault, shaped
 from fdilog.finding import Finding
 from fdilog.maths.geometry import blocks, leave_one_out
-from fdilog.maths.noise import NORMAL_CONSISTENCY
+from fdilog.maths.noise import NORMAL_CONSISTENCY, moving_mean
 from fdilog.maths.student import student_quantile
 from fdilog.table import ChannelTable
 from fdilog.windows.edges import Shape
@@ -155,7 +155,7 @@ def _changing_bias(
         return None
     error = table.rate_rad_s[np.ix_(rows, needed)] @ row[needed]
     around = np.pad(error, width // 2, mode="edge")
-    slow = np.convolve(around, np.ones(width) / width, mode="same")[width // 2 :][: len(rows)]
+    slow = moving_mean(around, width)[width // 2 :][: len(rows)]
     rate = table.rate_rad_s.copy()
     rate[rows, suspects[0]] -= slow
     left = disagreements(replace(table, rate_rad_s=rate), others, config)

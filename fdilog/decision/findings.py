@@ -148,8 +148,8 @@ def _of_many(table: ChannelTable, cluster: Cluster, said: Mapping[Accusation, Ev
         far = np.degrees([abs(size.estimate) for size in sizes if size is not None])
         detail = f"{len(far)} times {_WORDS[kind]}: by {far.min():.3g} to {far.max():.3g} deg/s"
     else:
-        time_s = np.append(table.time_s, table.time_s[-1] + table.period_s)
-        held_s = sum(float(time_s[one.stop] - time_s[one.start]) for one in members)
+        # What it did in a hole of the log is not known.
+        held_s = sum(one.stop - one.start for one in members) * table.period_s
         times = f"{len(members)} times, " if len(members) > 1 else ""
         detail = f"{_WORDS[kind]}; {times}{held_s:.3g} s in all"
     return Finding(

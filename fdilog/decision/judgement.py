@@ -33,8 +33,15 @@ from fdilog.windows.survey import Survey, spans
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement:
-    """What is concluded from a table alone."""
+    """What is concluded from a table alone.
 
+    Parameters
+    ----------
+    table
+        What was compared: every device in the unit and the mounting that its rates show.
+    """
+
+    table: ChannelTable
     findings: tuple[Finding, ...]
     status: tuple[Status, ...]
     evidence: tuple[Evidence, ...]
@@ -112,6 +119,7 @@ def judge(
     if witness is not None:
         status = with_witness(table, heard, status, witness.anchors, config)
     return Judgement(
+        table=table,
         findings=tuple(findings),
         status=status,
         evidence=(
@@ -165,6 +173,7 @@ def _spread_over(
             high=laid(item.high, filling=np.inf),
             tolerance=laid(item.tolerance, filling=np.nan),
             accused=laid(item.accused, filling=0),
+            least=None if item.least is None else laid(item.least, filling=np.inf),
         )
 
 

@@ -66,9 +66,8 @@ def with_model(
                 continue
             known = [k for k, other in enumerate(findings) if _same_fault(finding, other)]
             for k in known:
-                findings[k] = replace(
-                    findings[k], detectors=(*findings[k].detectors, item.detector)
-                )
+                agreed = dict.fromkeys((*findings[k].detectors, item.detector))
+                findings[k] = replace(findings[k], detectors=tuple(agreed))
             if not known:
                 added.append(finding)
     findings = sorted([*findings, *added], key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))

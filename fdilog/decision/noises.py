@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fdilog.decision.accusations import Cluster, accusations, clusters, region
 from fdilog.finding import SIZE_UNIT, Evidence, Finding, Size
+from fdilog.maths.noise import moving_mean
 from fdilog.table import ChannelTable
 from fdilog.windows.bursts import LONGEST_S
 from fdilog.windows.loudness import (
@@ -161,7 +162,7 @@ def _shaking(
     """
     power = (deviation**2).mean(axis=1)
     width = min(len(power), max(1, round(SHAKING_S / table.period_s)))
-    around = np.convolve(power, np.ones(width) / width, mode="same")
+    around = np.maximum(moving_mean(power, width), 0.0)
     usual = float(np.median(around))
     shaking = np.sqrt(around + usual)
     return np.where(shaking > 0.0, shaking, 1.0), around < STILL**2 * usual

@@ -14,6 +14,8 @@ from fdilog.table import ChannelTable
 # A channel is healthy only if it was inside tolerance over this share of its valid time (the
 # contract's figure).
 HEALTHY_COVERAGE = 0.9
+# A cosine below this is a right angle: a quaternion turns axes to within 1e-15.
+ROUNDING = 1e-9
 
 
 def channel_status(
@@ -80,7 +82,8 @@ def with_witness(
         axis = np.array(channel.axis)
         within = drift is not None and not drift.lost and drift.within(axis, tolerance)
         on_its_word = any(
-            one.derived and float(np.abs(np.dot(one.axis, axis))) > 0 for one in compared.channels
+            one.derived and float(np.abs(np.dot(one.axis, axis))) > ROUNDING
+            for one in compared.channels
         )
         if channel.derived:
             standing.append("healthy" if within else "insufficient" if not drift else "undecided")

@@ -114,24 +114,37 @@ class FlatlineDetector:
         least_motion = float(np.radians(survey.config.tolerance.bias_deg_s))
         for channel in range(len(table.channels)):
             ends = _ends_of_range(table, channel, survey.config)
-            for start, stop in _runs_at(table, channel, ends):
+            readings = table.rate_rad_s[table.valid[:, channel], channel]
+            extent = (float(readings.min(initial=0.0)), float(readings.max(initial=0.0)))
+            for start, stop in _runs_at(table, channel, ends, parts):
                 found["saturated"].append((start, stop, channel))
             for run in _impossible_runs(table, channel, parts, least_motion):
                 if run[2] not in ends:
-                    found[_kind(table, channel, run, survey.config)].append((*run[:2], channel))
+                    kind = _kind(table, channel, run, extent, survey.config)
+                    found[kind].append((*run[:2], channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
 
 
-def _kind(table: ChannelTable, channel: int, run: tuple[int, int, float], config: Config) -> Kind:
-    """Name a run by its value: zero, the end of the range that is never exceeded, or any."""
+def _kind(
+    table: ChannelTable,
+    channel: int,
+    run: tuple[int, int, float],
+    extent: tuple[float, float],
+    config: Config,
+) -> Kind:
+    """Name a run by its value: zero, the end of the range that is never exceeded, or any.
+
+    Parameters
+    ----------
+    extent
+        The lowest and the highest reading of the channel, or zero. [rad/s]
+    """
     start, stop, value = run
     if value == 0.0:
         return "dead"
-    readings = table.rate_rad_s[table.valid[:, channel], channel]
-    sign = float(np.sign(value))
     rows = start + np.flatnonzero(table.valid[start:stop, channel])
-    at_an_end = bool((sign * readings <= sign * value).all()) and (
-        (_is_full_scale(value) and abs(value) >= np.abs(readings).max())
+    at_an_end = value in extent and (
+        (_is_full_scale(value) and abs(value) >= max(-extent[0], extent[1]))
         or _most(_others_read_further(table, channel, rows, value, config), ALL_OF_A_RUN) > 0.0
     )
     return "saturated" if at_an_end else "stuck"
@@ -199,13 +212,16 @@ def _most(values: NDArray[np.float64], share: float) -> float:
     return float(np.quantile(known, share)) if len(known) else -np.inf
 
 
-def _runs_at(table: ChannelTable, channel: int, ends: Sequence[float]) -> list[tuple[int, int]]:
+def _runs_at(
+    table: ChannelTable, channel: int, ends: Sequence[float], parts: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
     """List the runs of readings (first sample, one past the last) at the ends of a range."""
     if not ends:
         return []
     rows = np.flatnonzero(table.valid[:, channel])
     at = np.isin(table.rate_rad_s[rows, channel], ends)
-    start, stop = runs_of_equal(at.astype(np.float64))
+    breaks = np.searchsorted(rows, [first for first, _ in parts[1:]])
+    start, stop = runs_of_equal(at.astype(np.float64), breaks)
     here = at[start]
     return [
         (int(rows[a]), int(rows[b - 1]) + 1) for a, b in zip(start[here], stop[here], strict=True)

@@ -83,6 +83,9 @@ SHAPE_GRID = 256
 LOW_BAND = 0.2
 """Half-power point, over J, of the low-pass weight that picks the components' axes."""
 
+LONG = 16_384
+"""Samples of a window whose cosines, 16 MB of them, are not kept but made by a transform."""
+
 ROUNDING = 1e-12
 """Cosines below this part of the mean are rounding: far above 1e-16, far below any gyro's noise."""
 
@@ -110,12 +113,56 @@ class WindowedMean:
     covariance : (n_windows, q, q)
         Covariance of the mean, S(0)/n; infinite diagonal where nothing is known. [unit squared]
     dof : (n_windows,)
-        Degrees of freedom of the covariance; 0 where nothing is known.
+        Degrees of freedom of the covariance, those of its least known component; 0 where nothing is
+        known.
+    parts : (n_windows, q, q)
+        Standard deviations of the mean, a column for each uncorrelated component. [unit]
+    part_dof : (n_windows, q)
+        Degrees of freedom of each component.
     """
 
     mean: Floats
     covariance: Floats
     dof: Floats
+    parts: Floats
+    part_dof: Floats
+
+    def at(self, windows: NDArray[np.int64] | NDArray[np.bool_]) -> WindowedMean:
+        """Return some of the windows."""
+        return WindowedMean(
+            mean=self.mean[windows],
+            covariance=self.covariance[windows],
+            dof=self.dof[windows],
+            parts=self.parts[windows],
+            part_dof=self.part_dof[windows],
+        )
+
+    def quantile(self, combinations: ArrayLike, confidence: float) -> Floats:
+        """How many standard deviations the Student intervals of ``c' mean`` reach.
+
+        A component that has few degrees of freedom widens them by as much as it is a part of the
+        variance: half-widths of the components add up as independent errors do.
+
+        Parameters
+        ----------
+        combinations : (k, q)
+            Coefficients c of linear combinations of the series; (n_windows, k, q) if they differ.
+        confidence
+            Probability that the interval covers, such as 0.999.
+
+        Returns
+        -------
+        quantile : (n_windows, k)
+            Infinite where nothing is known. [1]
+        """
+        variance = np.square(np.asarray(combinations, np.float64) @ self.parts)
+        each = student_quantile(self.part_dof, confidence)
+        total = variance.sum(axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            squared = (variance @ np.square(each)[:, :, None])[:, :, 0] / total
+        # What does not move at all is known as well as the least known component.
+        squared = np.where(total > 0.0, squared, np.square(each.max(axis=1))[:, None])
+        return np.where((self.dof > 0)[:, None], np.sqrt(squared), np.inf)
 
     def half_width(self, combination: ArrayLike, confidence: float) -> Floats:
         """Half-width of the Student interval of ``c' mean``; infinite where nothing is known.
@@ -136,7 +183,7 @@ class WindowedMean:
         known = self.dof > 0
         covariance = np.where(known[:, None, None], self.covariance, 0.0)
         variance = np.einsum("wi,wij,wj->w", c, covariance, c)
-        half = student_quantile(self.dof, confidence)
+        half = self.quantile(c[:, None, :], confidence)[:, 0]
         half[known] *= np.sqrt(np.maximum(variance[known], 0.0))
         return half
 
@@ -167,35 +214,42 @@ def windowed_mean(samples: ArrayLike) -> WindowedMean:
     n_windows, n, q = x.shape
     mean = np.full((n_windows, q), np.nan)
     covariance = np.zeros((n_windows, q, q))
-    dof = np.zeros(n_windows)
+    parts, part_dof = np.zeros((n_windows, q, q)), np.zeros((n_windows, q))
     step = max(1, BLOCK_BYTES // max(1, 8 * q * max(n, SHAPE_GRID)))
     for start in range(0, n_windows if n and q else 0, step):
         block = slice(start, start + step)
-        mean[block], covariance[block], dof[block] = _block(x[block])
+        mean[block], covariance[block], parts[block], part_dof[block] = _block(x[block])
+    dof = part_dof.min(axis=1, initial=np.inf) if q else np.zeros(n_windows)
     covariance[dof == 0] = np.where(np.eye(q, dtype=bool), np.inf, 0.0)
-    return WindowedMean(mean, covariance, dof)
+    return WindowedMean(mean, covariance, dof, parts, part_dof)
 
 
-def _block(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Mean, covariance and degrees of freedom of a block of windows."""
+def _block(x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Mean, covariance, its parts and their degrees of freedom of a block of windows."""
     n_windows, n, q = x.shape
     by_sample = np.ascontiguousarray(np.moveaxis(x, 1, 0)).reshape(n, n_windows * q)
     with np.errstate(invalid="ignore"):  # a value that is not finite spoils its own window only
         mean: Floats = (np.full(n, 1.0 / n) @ by_sample).reshape(n_windows, q)
         finite = np.isfinite(mean.sum(axis=1))
         if n < MIN_SAMPLES:
-            return mean, np.zeros((n_windows, q, q)), np.zeros(n_windows)
-        cosines = _cosines(n, min(n - 1, MAX_COSINES))
-        looks = np.moveaxis((cosines @ by_sample).reshape(-1, n_windows, q), 0, 2)
+            nothing = np.zeros((n_windows, q, q))
+            return mean, nothing, nothing, np.zeros((n_windows, q))
+        count = min(n - 1, MAX_COSINES)
+        # The cosines of long windows would fill the memory.
+        look = _cosines(n, count) @ by_sample if n < LONG else _by_fourier(by_sample, count)
+        looks = np.moveaxis(look.reshape(-1, n_windows, q), 0, 2)
     # A series that does not move leaves rounding alone in its cosines.
     moves = np.abs(looks).max(axis=2) > ROUNDING * np.abs(mean)
     looks = np.where((moves & finite[:, None])[:, :, None], looks, 0.0)
-    long_run, dof = _long_run(looks, n)
-    return mean, long_run / n, np.where(finite, dof, 0.0)
+    long_run, parts, dof = _long_run(looks, n)
+    return mean, long_run / n, parts / np.sqrt(n), np.where(finite[:, None], dof, 0.0)
 
 
-def _long_run(looks: Floats, n: int) -> tuple[Floats, Floats]:
-    """Long-run covariance (w, q, q) and its degrees of freedom from the cosines (w, q, J)."""
+def _long_run(looks: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """Long-run covariance (w, q, q) from the cosines (w, q, J).
+
+    With the standard deviations of its components (w, q, q) and their degrees of freedom (w, q).
+    """
     to_components, back = _components(looks)
     z = to_components @ looks
     j = z.shape[2]
@@ -226,7 +280,8 @@ def _long_run(looks: Floats, n: int) -> tuple[Floats, Floats]:
     recoloured[~alive] = 0.0
     recoloured = back @ recoloured
     covariance = recoloured @ np.swapaxes(recoloured, 1, 2)
-    return covariance, np.where(alive, dof, float(j)).min(axis=1)
+    parts = back * np.sqrt(np.where(alive, scale, 0.0))[:, None, :]
+    return covariance, parts, np.where(alive, dof, float(j))
 
 
 def _components(looks: Floats) -> tuple[Floats, Floats]:
@@ -276,6 +331,14 @@ def _cosines(n: int, count: int) -> Floats:
     j = np.arange(1, count + 1)[:, None]
     cosines: Floats = np.sqrt(2.0 / n) * np.cos(np.pi * j * (np.arange(n) + 0.5) / n)
     return cosines
+
+
+def _by_fourier(samples: Floats, count: int) -> Floats:
+    """Return what the cosines make of columns of samples (n, k), by a Fourier transform."""
+    n = len(samples)
+    mirrored = np.concatenate([samples, samples[::-1]])
+    turn = np.exp(-0.5j * np.pi * np.arange(1, count + 1) / n)[:, None]
+    return np.asarray((np.fft.rfft(mirrored, axis=0)[1 : count + 1] * turn).real * np.sqrt(0.5 / n))
 
 
 @lru_cache(maxsize=64)
@@ -336,6 +399,17 @@ def _inverse_chi_square(log_var: Floats) -> tuple[Floats, Floats]:
     log_spread = np.log(log_var)
     dof: Floats = np.exp(np.interp(log_spread, spreads, log_dofs))
     return dof, np.interp(log_spread, spreads, shifts)
+
+
+def moving_mean(values: Floats, width: int) -> Floats:
+    """Mean of so many values about each of some, (n,); beyond the ends values are zero.
+
+    Of running sums, since a convolution takes as many products as the width.
+    """
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    first = np.arange(len(values)) - width // 2
+    stop = np.clip(first + width, 0, len(values))
+    return np.asarray(total[stop] - total[np.maximum(first, 0)], np.float64) / width
 
 
 def robust_sigma(x: ArrayLike, axis: int | None = 0) -> Floats:

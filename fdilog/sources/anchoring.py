@@ -165,6 +165,8 @@ def _compass(recording: Recording, attitude: Attitude, edges: Floats, zero_ns: i
 
 def _frozen(time_s: Floats, values: Floats) -> NDArray[np.bool_]:
     """Tell which readings (n, k) repeat one for so long that no sensor is behind them, (n,)."""
+    if not len(values):
+        return np.zeros(0, bool)
     fresh = np.concatenate([[True], (np.diff(values, axis=0) != 0).any(axis=1)])
     start = np.flatnonzero(fresh)
     length_s = np.append(time_s[start[1:] - 1], time_s[-1:]) - time_s[start]

@@ -165,10 +165,10 @@ class Anchors:
         length_s = end_s - start_s
         reach_s = max(length_s / 2, LEAST_REACH_S)
         known = _known(self.force)
-        inside = known & self._within(start_s, end_s)
         rows = self._told(known & self._within(start_s - reach_s, end_s + reach_s))
         before, after = (self.time_s[rows] < start_s).sum(), (self.time_s[rows] > end_s).sum()
-        if inside.sum() < FEWEST_CELLS and min(before, after) < FEWEST_CELLS:
+        inside = self._within(start_s, end_s)[rows].sum()
+        if inside < FEWEST_CELLS and min(before, after) < FEWEST_CELLS:
             return None
         expected = np.eye(6) / self.healthy_rad_s**2
         expected[:3, :3] = np.eye(3) / VAGUE**2

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fdilog.config import Config
 from fdilog.errors import UsageError, nearest
 from fdilog.recording import Problem, Recording
+from fdilog.sources.attitude import matrices
 from fdilog.sources.clocks import TimeBase, nearest_samples, place, time_base
 from fdilog.sources.gyros import (
     AXIS_NAMES,
@@ -254,14 +255,8 @@ def _mounted(axes: NDArray[np.float64], gyros: list[Gyro], config: Config) -> ND
 
 def rotation_matrix(quaternion: Sequence[float]) -> NDArray[np.float64]:
     """Rotation from sensor to body of a Hamilton quaternion (w, x, y, z) of any length."""
-    w, x, y, z = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    unit = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
+    return np.asarray(matrices(unit[None])[0], np.float64)
 
 
 def _channels(gyros: list[Gyro], axes: NDArray[np.float64], base: TimeBase) -> tuple[Channel, ...]:
@@ -283,7 +278,6 @@ def _channels(gyros: list[Gyro], axes: NDArray[np.float64], base: TimeBase) -> t
                     rate_hz=gyro.rate_hz,
                     samples=len(readings),
                     step_rad_s=float(quantisation_step(readings)),
-                    derived=gyro.derived,
                     batched=gyro.stream.batched,
                     apart_s=float(np.median(apart_ns)) / 1e9 if len(apart_ns) else 0.0,
                 )

@@ -21,6 +21,8 @@ LATEST_NS = 2**62
 HOLE_PERIODS = 5.0
 # Periods of one nominal rate differ by the tolerance of oscillators and by jitter: less than this.
 SAME_RATE = 1.01
+# No log goes on after a day: its clock was set.
+SET_FORWARD_NS = 86_400_000_000_000
 # So near to an instant a source must have been sampled to be read there: half a period, and jitter
 NEAR = 0.6
 # Between two samples further apart than this nothing is interpolated: one lost record is bridged.
@@ -49,8 +51,8 @@ class CleanStamps:
         How many were dropped because they had been held up: after a pause, several follow each
         other faster than they can have been sampled. The last of them stays.
     restarts
-        Where the clock jumped back and went on from there (a reboot): the last stamp before, as in
-        ``time_ns``, and by how much it jumped. [ns]
+        Where the clock jumped back and went on from there (a reboot), or forward by a day and more:
+        the last stamp before, as in ``time_ns``, and by how much it jumped back. [ns]
     """
 
     time_ns: Times
@@ -65,7 +67,8 @@ def clean_stamps(stamps: Sequence[Times]) -> list[CleanStamps]:
     """Make the stamps of several streams of one log increase strictly, restarts alike in all.
 
     A stamp that repeats is dropped (the first record stays). A single stamp out of order is
-    dropped. Where the clock goes back and stays back it has restarted: all that follows is moved
+    dropped. Where the clock goes back and stays back it has restarted, and where it goes forward by
+    a day or more it was set: all that follows is moved
     to `RESTART_PAUSE_NS` after the latest stamp before it, by one and the same shift in every
     stream, so that records taken together stay together.
     """
@@ -136,11 +139,12 @@ def _held_up(time: Times) -> NDArray[np.bool_]:
 
 
 def _pieces(time: Times) -> tuple[list[NDArray[np.int64]], int]:
-    """Split one stream at the restarts of its clock; each piece does not decrease."""
+    """Split one stream where its clock restarts or is set; each piece does not decrease."""
     n = len(time)
     index = np.arange(n)
-    descents = np.flatnonzero(np.diff(time) < 0)
-    if len(descents) == 0:
+    steps = np.diff(time)
+    descents = np.flatnonzero(steps < 0)
+    if len(descents) == 0 and not (steps > SET_FORWARD_NS).any():
         return ([index] if n else []), 0
     if len(descents) > MOST_DESCENTS:
         kept = index[time >= np.maximum.accumulate(time)]
@@ -159,8 +163,10 @@ def _pieces(time: Times) -> tuple[list[NDArray[np.int64]], int]:
             drop[i] = True
         else:
             cuts.append(j)
+    kept = index[~drop]
+    cuts += kept[1:][np.diff(time[kept]) > SET_FORWARD_NS].tolist()
     parts = []
-    for piece in np.split(index, cuts):
+    for piece in np.split(index, sorted(cuts)):
         kept = piece[~drop[piece]]
         parts.append(kept[time[kept] >= np.maximum.accumulate(time[kept])])
     parts = [part for part in parts if len(part)]

@@ -10,6 +10,7 @@ from fdilog.config import Config
 from fdilog.recording import Problem, Recording
 from fdilog.sources.clocks import CleanStamps, TimeBase, hole_threshold_s
 from fdilog.sources.gyros import Gyro
+from fdilog.sources.offsets import LARGEST_OFFSET_S
 
 MOST_LISTED = 20
 # A source that misses no more of a log than this may still be healthy over the whole of it.
@@ -31,13 +32,12 @@ def stamp_problems(gyro: Gyro, clean: CleanStamps) -> list[Problem]:
         are = "record is" if clean.misplaced == 1 else "records are"
         what = f"{topic}: {clean.misplaced} {are} stamped out of order; left out"
         problems.append(Problem(what=what))
-    problems += [
-        Problem(
-            what=f"{topic}: the clock jumps back by {back / 1e9:.3f} s (a restart);"
-            " what follows is a stretch of its own, the pause before it unknown"
-        )
-        for _, back in clean.restarts
-    ]
+    for _, back in clean.restarts:
+        jump = f"back by {back / 1e9:.3f} s (a restart)"
+        if back < 0:
+            jump = f"forward by {-back / 86_400e9:.1f} days (it was set)"
+        what = f"{topic}: the clock jumps {jump}; what follows is a stretch of its own"
+        problems.append(Problem(what=f"{what}, the pause before it unknown"))
     return problems
 
 
@@ -102,8 +102,11 @@ def _holes(base: TimeBase, restarts: Sequence[int], dropout_s: float) -> list[Pr
     steps = np.diff(base.time_ns)
     limit = hole_threshold_s(base.period_ns / 1e9, dropout_s) * 1e9
     starts = np.flatnonzero(steps > limit)
-    known = set(restarts)
-    starts = np.array([k for k in starts if int(base.time_ns[k]) not in known], int)
+    # A gyro's stamps may have been shifted since, by what its clock was off.
+    shift_ns = round(LARGEST_OFFSET_S * 1e9)
+    for after in restarts:
+        ends = base.time_ns[starts + 1]
+        starts = starts[(base.time_ns[starts] > after + shift_ns) | (ends < after - shift_ns)]
     lost = (steps[starts] - base.period_ns) / 1e9
     from_s = (base.time_ns[starts] - base.time_ns[0]) / 1e9
     problems = [

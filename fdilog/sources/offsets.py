@@ -21,6 +21,8 @@ LEAST_CORRELATION = 0.7
 # Turned as they best fit, two triads correlate by the sum of the singular values of their moments.
 # That is what counts if it is so much more than as they are: then one is mounted otherwise.
 ALIGNED = 0.9
+# Longer holes are cut short. [s]
+LONGEST_HOLE_S = 10.0
 # Motion of a vehicle holds nothing that a hundred samples a second do not show.
 FINEST_STEP_S = 0.01
 # Means over this time, twice, leave the motion of the vehicle. Vibration must go: aliased by the
@@ -59,6 +61,10 @@ def estimate_offset(
     """
     (reference_s, reference_rate), (time_s, rate) = reference, other
     period = float(np.median(np.diff(reference_s))) if len(reference_s) > 2 else 0.0
+    # A hole of hours tells no more than one of seconds.
+    steps = np.diff(reference_s, prepend=reference_s[0])
+    cut_s = np.cumsum(np.maximum(steps - LONGEST_HOLE_S, 0.0))
+    time_s, reference_s = time_s - np.interp(time_s, reference_s, cut_s), reference_s - cut_s
     step = max(period, FINEST_STEP_S) if period > 0 else 0.0
     start, end = max(reference_s[0], time_s[0]), min(reference_s[-1], time_s[-1])
     lags = round(LARGEST_OFFSET_S / step) if step > 0 else 0

@@ -19,7 +19,6 @@ from fdilog.config import Config
 from fdilog.finding import Evidence
 from fdilog.maths.geometry import leave_one_out
 from fdilog.maths.noise import WindowedMean
-from fdilog.maths.student import student_quantile
 from fdilog.windows.survey import Moments, Survey
 
 Floats = NDArray[np.float64]
@@ -227,8 +226,9 @@ def compare(
     # A thousand short windows hold some that look quiet by chance: what decides against all of them
     # together is no surer than the middlemost.
     usual = np.einsum("iq,qr,ir->i", of_parity, moments.typical, of_parity)
-    half_width = _half_width(looks, own, config.windows.confidence)
-    doubt = moments.restless * _half_width(looks, np.maximum(own, usual), family_confidence)
+    half_width = _half_width(looks, of_parity, own, config.windows.confidence)
+    doubt = _half_width(looks, of_parity, np.maximum(own, usual), family_confidence)
+    doubt *= moments.restless
     swell = np.maximum(
         np.einsum("iq,wqr,ir->wi", of_parity, moments.swell, of_parity),
         np.einsum("iq,qr,ir->i", of_parity, moments.usual_swell, of_parity),
@@ -245,11 +245,13 @@ def compare(
     )
 
 
-def _half_width(looks: WindowedMean, variance: Floats, confidence: float) -> Floats:
+def _half_width(
+    looks: WindowedMean, combinations: Floats, variance: Floats, confidence: float
+) -> Floats:
     """Half-width of the Student intervals of combinations of variance (n, k); inf if unknown."""
-    known = (looks.dof > 0)[:, None]
-    quantile = student_quantile(looks.dof, confidence)[:, None]
     sigma = np.sqrt(np.maximum(variance, 0.0))
+    quantile = looks.quantile(combinations, confidence)
+    known = np.isfinite(quantile)
     return np.where(known, np.where(known, quantile, 0.0) * sigma, np.inf)
 
 

@@ -132,13 +132,12 @@ class Moments:
 
     def at(self, rows: NDArray[np.int64]) -> Moments:
         """Return the moments of some of these windows."""
-        looks = self.parity_mean
         return replace(
             self,
             windows=self.windows[rows],
             mean=self.mean[rows],
             slope=self.slope[rows],
-            parity_mean=WindowedMean(looks.mean[rows], looks.covariance[rows], looks.dof[rows]),
+            parity_mean=self.parity_mean.at(rows),
             swell=self.swell[rows],
         )
 
@@ -304,7 +303,7 @@ def _evenly_laid(residuals: Floats, size: int) -> WindowedMean:
     looks = _looks(residuals, starts[evenly_spaced(len(starts), MOST_LAID)], size)
     loudness = np.einsum("wii->w", looks.covariance)
     quiet = loudness <= np.median(loudness)
-    return WindowedMean(looks.mean[quiet], looks.covariance[quiet], looks.dof[quiet])
+    return looks.at(quiet)
 
 
 def _restless(family: Sequence[WindowedMean], parity: Floats) -> float:

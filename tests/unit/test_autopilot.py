@@ -152,3 +152,16 @@ def test_a_finding_quotes_what_was_said_of_its_device_meanwhile() -> None:
     assert "IMU[1]: flagged unhealthy" in quoted("imu1", 25.0)
     assert quoted("imu1", 60.0) == "off"
     assert "IMU[0].GH called it healthy all along" in quoted("imu0", 25.0)
+
+
+def test_a_flag_that_went_down_after_many_other_words_is_not_denied() -> None:
+    # An error every fourth record.
+    count = np.repeat(np.arange(26, dtype=np.uint32), 4)[:101]
+    many = [stream(f"vehicle_imu_status[{k}]", error_count=count) for k in range(5)]
+    log = recording(*many, stream("IMU[0]", sensor=0, GH=down(90, 95)))
+    said = autopilot_notes(log, 0, SPAN, tuple(f"imu{k}" for k in range(5)))
+    assert len(said) > 100
+    finding = Finding(kind="bias", suspects=("imu0.x",), start_s=90.0, end_s=95.0)
+    detail = with_quotes([finding], said, log)[0].detail
+    assert "IMU[0]: flagged unhealthy" in detail
+    assert "healthy all along" not in detail

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -323,3 +324,44 @@ def test_gyros_that_are_silent_while_the_attitude_is_not_are_a_loss(
     problems = assemble(replace(whole, streams=tuple(streams)), CONFIG).problems
     assert [problem.what for problem in problems] == said
     assert all(problem.seconds_lost and not problem.note for problem in problems)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_a_restart_is_no_hole_whatever_the_clocks_are_off(late_s: float) -> None:
+    slow_s, fast_s = np.arange(0.0, 120.0, 0.01), np.arange(0.0, 120.0, 0.005)
+
+    def source(time_s: Floats, late_s: float) -> tuple[Floats, Floats]:
+        phase = np.arange(3.0)
+        rate = 0.5 * np.sin(2 * np.pi * time_s[:, None] * [0.31, 0.27, 0.23] + phase)
+        stamp_s = time_s + late_s
+        return np.where(stamp_s < 60.0, stamp_s, stamp_s - 60.0), rate
+
+    problems = assemble(recording(source(slow_s, 0.0), source(fast_s, late_s)), CONFIG).problems
+    said = [problem.what for problem in problems]
+    assert len(said) == 2
+    assert all("the clock jumps back by" in what for what in said)
+
+
+@pytest.mark.parametrize("days", [2.0, 20_000.0])
+def test_a_clock_that_is_set_forward_begins_a_stretch_of_its_own(days: float) -> None:
+    table = triads(2, seconds=120.0)
+    stamp_s = np.where(table.time_s < 60.0, table.time_s, table.time_s + days * 86_400.0)
+    log = recording((stamp_s, table.rate_rad_s[:, :3]), (stamp_s, table.rate_rad_s[:, 3:]))
+    assembly = assemble(log, CONFIG)
+    assert assembly.table.duration_s < 200.0
+    said = f"the clock jumps forward by {days:.1f} days (it was set); what follows is a stretch"
+    assert len(assembly.problems) == 2
+    assert all(said in problem.what for problem in assembly.problems)
+    assert judge(assembly.table, CONFIG).findings == ()
+
+
+def test_a_pause_of_hours_costs_the_comparison_of_clocks_nothing() -> None:
+    table = triads(2, seconds=240.0, sigma_deg_s=0.1)
+    stamp_s = np.where(table.time_s < 120.0, table.time_s, table.time_s + 36_000.0)
+    late = recording((stamp_s, table.rate_rad_s[:, :3]), (stamp_s + 0.1, table.rate_rad_s[:, 3:]))
+    tracemalloc.start()
+    (clock,) = assemble(late, CONFIG).clocks
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert clock.low < 0.1 < clock.high
+    assert peak < 50_000_000

@@ -154,3 +154,19 @@ def test_a_gyro_that_is_stuck_again_and_again_is_one_finding() -> None:
     assert finding.start_s == pytest.approx(10.0, abs=0.05)
     assert finding.end_s == pytest.approx(67.0, abs=0.05)
     assert finding.detail.endswith("15 times, 15 s in all")
+
+
+def test_what_a_gyro_did_in_a_hole_is_not_counted_as_saturated() -> None:
+    table = triads(2, seconds=80.0)
+    rate = table.rate_rad_s.copy()
+    limit = 8.0 * DEG
+    rate[:, 0] = np.clip(rate[:, 0], -limit, limit)
+    saturated = np.flatnonzero(rate[:, 0] == limit)
+    first, last = int(saturated[10]), int(saturated[-10])
+    kept = np.ones(len(rate), bool)
+    kept[first + 1 : last] = False
+    rate[[first, last], 0] = limit
+    (finding,) = judge(table_of(table.time_s[kept], rate[kept]), CONFIG).findings
+    assert finding.kind == "saturated"
+    held_s = float(finding.detail.rpartition("; ")[2].partition(", ")[2].split(" s in all")[0])
+    assert held_s < 2.0 < float(table.time_s[last] - table.time_s[first])

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fdilog.maths import noise
-from fdilog.maths.noise import quantisation_step, robust_sigma, windowed_mean
+from fdilog.maths.noise import moving_mean, quantisation_step, robust_sigma, windowed_mean
 from fdilog.maths.student import student_quantile
 
 Floats = NDArray[np.float64]
@@ -251,3 +251,30 @@ def test_continuous_readings_have_no_step(kind: type[np.floating], n_samples: in
 @pytest.mark.parametrize("x", [[], [0.0] * 50, [1.0, 1.5, np.nan], [np.nan]])
 def test_too_few_levels_tell_no_step(x: list[float]) -> None:
     assert quantisation_step(x) == 0.0
+
+
+def test_a_long_window_is_looked_at_through_the_same_cosines() -> None:
+    samples = np.random.default_rng(3).standard_normal((2001, 3)) + 4.0
+    by_cosines = noise._cosines(len(samples), 60) @ samples
+    np.testing.assert_allclose(noise._by_fourier(samples, 60), by_cosines, atol=1e-11)
+
+
+@pytest.mark.parametrize(("n", "width"), [(100, 7), (100, 8), (5, 5), (30, 1)])
+def test_a_moving_mean_is_a_convolution(n: int, width: int) -> None:
+    values = np.random.default_rng(4).standard_normal(n)
+    convolved = np.convolve(values, np.ones(width) / width, mode="same")
+    np.testing.assert_allclose(moving_mean(values, width), convolved, atol=1e-14)
+
+
+def test_a_component_that_is_known_badly_widens_what_it_is_a_part_of(windows: Floats) -> None:
+    looks = windowed_mean(windows)
+    reach = looks.quantile(np.eye(3), 0.999)
+    each = student_quantile(looks.part_dof, 0.999)
+    assert (reach >= each.min(axis=1)[:, None] - 1e-9).all()
+    assert (reach <= each.max(axis=1)[:, None] + 1e-9).all()
+    # The white series is known far better than the one that wanders.
+    assert np.median(reach[:, 1]) < np.median(reach[:, 0])
+    white = windowed_mean(windows[:, :, 1:2])
+    np.testing.assert_allclose(
+        white.quantile(np.ones((1, 1)), 0.999)[:, 0], student_quantile(white.dof, 0.999)
+    )

@@ -74,3 +74,20 @@ def test_a_flight_too_short_for_a_slope_has_none() -> None:
     table = assemble(simulate(20.0, 25.0, sources=2).recording(attitude=False), Config()).table
     warming = {"imu1": (np.array([0.0, 20.0]), np.array([20.0, 60.0]))}
     assert temperature_notes(table, warming, 0.999) == {}
+
+
+def test_the_slope_of_a_device_in_another_unit_is_that_of_its_rates_as_compared() -> None:
+    recording = warmed(0.05)
+
+    def in_degrees(stream: Stream) -> Stream:
+        if stream.sensor != 1:
+            return stream
+        rates = {name: np.degrees(stream.columns[name]) for name in stream.gyro}
+        return replace(stream, columns={**stream.columns, **rates})
+
+    streams = tuple(in_degrees(stream) for stream in recording.streams)
+    analysis = analyse_recording(replace(recording, streams=streams), OWN_FINDINGS)
+    assert any("degrees and radians" in finding.detail for finding in analysis.findings)
+    told = re.search(r"x \+(\S+) deg/s per kelvin", note(analysis))
+    assert told is not None, note(analysis)
+    assert float(told[1]) == pytest.approx(0.05, abs=0.015)

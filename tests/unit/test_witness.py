@@ -514,3 +514,31 @@ def test_acceleration_that_the_attitude_does_not_show_leaves_the_tilt_open() -> 
     # A constant 0.3 g leans the vertical by 17 degrees.
     assert half_width[0] < 0.1 * DEG
     assert half_width[1] > 17.0 * DEG / 30.0
+
+
+@pytest.mark.parametrize("readings", [0, 600])
+def test_a_compass_without_readings_is_none(readings: int) -> None:
+    recording = flown(2, "imu1.y").recording()
+    names = ("mx", "my", "mz")
+    silent = Stream(
+        name="MAG",
+        time_ns=recording.streams[0].time_ns[:readings],
+        columns={name: np.full(readings, np.nan) for name in names},
+        compass=names,
+    )
+    streams = [
+        replace(stream, compass=()) if stream.compass else stream for stream in recording.streams
+    ]
+    finding = only(analysed(replace(recording, streams=(*streams, silent))))
+    assert "imu1.y" in finding.suspects
+
+
+def test_an_attitude_in_short_pieces_tells_nothing_and_breaks_nothing() -> None:
+    def pausing(stream: Stream) -> Stream:
+        time_s = (stream.time_ns - stream.time_ns[0]) / 1e9
+        kept = time_s % 3.0 > 0.5
+        columns = {name: np.asarray(column)[kept] for name, column in stream.columns.items()}
+        return replace(stream, time_ns=stream.time_ns[kept], columns=columns)
+
+    finding = only(analysed(with_attitude(flown(2, "imu1.y").recording(), pausing)))
+    assert set(finding.suspects) == {"imu0.y", "imu1.y"}
