@@ -79,7 +79,7 @@ def judge(
         if detector.stage == "alone":
             progress(name)
             found = detector.detect(Survey(table=heard, windows=whole, config=config))
-            heard = without(heard, found)
+            heard = without_accused(heard, found)
             alone.extend(found)
     testified = table if heard is gyros else with_derived(heard, table)
     if witness is not None:
@@ -194,7 +194,7 @@ def _default_order(known: dict[str, object]) -> list[str]:
     return sorted(known, key=lambda name: (name != "parity", name))
 
 
-def without(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
+def without_accused(table: ChannelTable, evidence: Sequence[Evidence]) -> ChannelTable:
     """Return the table with the readings that a channel's own evidence accuses marked invalid."""
     if not any(item.accused.any() for item in evidence):
         return table

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.finding import SIZE_UNIT, Finding, Size
+from fdilog.maths.noise import NORMAL_CONSISTENCY
 from fdilog.maths.student import student_quantile
 from fdilog.sources.devices import Devices, triads_of
 from fdilog.sources.mounting_words import AXES
@@ -41,9 +42,9 @@ FOLLOWED = 0.5
 """A piece tells if half of the variance of either is that of the other."""
 
 CONFIDENCE = 0.999
-NORMAL_MEDIAN = 1.4826
+
 MEDIAN_SIGMA = 1.2533
-"""From a median modulus to a sigma, and how much less a median tells than a mean."""
+"""How much less a median tells than a mean."""
 
 
 class Factor(NamedTuple):
@@ -233,7 +234,7 @@ def _factor(rate: Floats, reading: Floats) -> Factor | None:
     if told.any() and not told.all():
         # It was sound for a while: that is for the windows.
         return None
-    sigma = NORMAL_MEDIAN * np.median(np.abs(logs - middle), axis=0)
+    sigma = NORMAL_CONSISTENCY * np.median(np.abs(logs - middle), axis=0)
     quantile = student_quantile(np.array([len(logs) - 1.0]), CONFIDENCE)[0]
     half = quantile * MEDIAN_SIGMA * sigma / np.sqrt(len(logs))
     ends = (middle[0] - half[0], middle.mean(), middle[1] + half[1])

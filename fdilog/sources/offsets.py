@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.maths.noise import NORMAL_CONSISTENCY
 from fdilog.maths.student import student_quantile
 
 Floats = NDArray[np.float64]
@@ -82,7 +83,7 @@ def estimate_offset(
         return None
     offsets = np.array(found) * step
     middle = float(np.median(offsets))
-    spread = 1.4826 * float(np.median(np.abs(offsets - middle)))
+    spread = NORMAL_CONSISTENCY * float(np.median(np.abs(offsets - middle)))
     quantile = float(student_quantile(np.array([len(found) - 1.0]), confidence)[0])
     # The median of n normal values has the variance pi / 2n; no piece is better than a hundredth
     # of a step.

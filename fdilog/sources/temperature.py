@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.maths.noise import NORMAL_CONSISTENCY
 from fdilog.maths.student import student_quantile
 from fdilog.recording import Recording, Stream
 from fdilog.sources.gyros import SourceInfo
@@ -199,6 +200,6 @@ def _robust(design: Floats, target: Floats, weight: Floats) -> tuple[float, Floa
         if abs(slope - before) <= SETTLED * abs(slope):
             break
         residual = target - design @ solved
-        sigma = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        sigma = max(NORMAL_CONSISTENCY * float(np.median(np.abs(residual))), 1e-12)
         weight = np.square(np.maximum(1.0 - (residual / (TUKEY * sigma)) ** 2, 0.0))
     return slope, weight

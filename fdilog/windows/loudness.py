@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.maths.noise import NORMAL_CONSISTENCY
 from fdilog.table import ChannelTable
 from fdilog.windows.prediction import DEVIATION_GAIN, deviations_as_logged, own_noise
 
@@ -27,8 +28,6 @@ FEWEST_SAMPLES = 50
 # A reading further off than this counts as if it were no further, so that the edges of a step and a
 # few impulses are not taken for noise. [sigmas, those of the median modulus]
 CAP = 3.0
-# One over the normal quantile at 3/4: from a median modulus to a sigma.
-NORMAL_MEDIAN = 1.4826
 # What is usual is kept for so many channels, to be asked again for windows of other lengths; and
 # what is shown for as many paces as the fastest logs have.
 MOST_CHANNELS = 48
@@ -136,13 +135,13 @@ def capped_sigma(size: Floats, least: float | Floats = 0.0) -> Floats:
         What sigma is taken for at least to tell what is far off: at rest most readings of a coarse
         gyro repeat, and their median is zero. Broadcast against the moduli.
     """
-    usual = np.maximum(NORMAL_MEDIAN * np.median(size, axis=-1, keepdims=True), least)
+    usual = np.maximum(NORMAL_CONSISTENCY * np.median(size, axis=-1, keepdims=True), least)
     repeating = ~(usual > 0.0)[..., 0]
     if repeating.any():
         # No step is known: those that do not repeat tell it.
         told = np.where(size[repeating] > 0.0, size[repeating], np.nan)
         told[np.isnan(told).all(axis=-1)] = 0.0
-        usual[repeating] = NORMAL_MEDIAN * np.nanmedian(told, axis=-1, keepdims=True)
+        usual[repeating] = NORMAL_CONSISTENCY * np.nanmedian(told, axis=-1, keepdims=True)
     cap = CAP * usual
     sigma: Floats = np.sqrt((np.minimum(size, cap) ** 2).mean(axis=-1))
     return sigma

@@ -284,7 +284,7 @@ class Survey:
 
 def evenly_spaced(n: int, most: int) -> NDArray[np.int64]:
     """Choose so many of n windows, or fewer, from the first to the last."""
-    return np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
 def _looks(residuals: Floats, first: NDArray[np.int64], size: int) -> WindowedMean:
