@@ -94,8 +94,7 @@ def _tested(table: ChannelTable, fault: Fault, config: Config) -> Fault:
 def _moments(table: ChannelTable, fault: Fault, config: Config) -> Moments | None:
     """Return the means of the suspects' block over the span of a fault."""
     windows = spans(table, np.array([fault.start]), np.array([fault.stop]))
-    survey = Survey(table=table, windows=windows, config=config)
-    return next((m for m in survey.moments if fault.suspects <= set(m.channels)), None)
+    return Survey(table=table, windows=windows, config=config).moments_of(fault.suspects)
 
 
 def _heard(

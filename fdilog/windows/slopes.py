@@ -262,10 +262,10 @@ def scale_over(
     """Fit the scale error of a channel over one span, or nothing if that is too short."""
     windows = spans(table, np.array([span[0]]), np.array([span[1]]))
     survey = Survey(table=table, windows=windows, config=config)
-    for moments in survey.moments:
-        means = _segments(moments, survey) if channel in moments.channels else None
-        if means is not None:
-            axes = table.axes[list(moments.channels)]
-            place = moments.channels.index(channel)
-            return dict(_all_slopes(means, axes, (), np.arange(1), config)).get(place)
-    return None
+    moments = survey.moments_of(frozenset({channel}))
+    means = None if moments is None else _segments(moments, survey)
+    if moments is None or means is None:
+        return None
+    axes = table.axes[list(moments.channels)]
+    place = moments.channels.index(channel)
+    return dict(_all_slopes(means, axes, (), np.arange(1), config)).get(place)

@@ -167,6 +167,21 @@ class Survey:
             found.extend(self._block_moments(block))
         return tuple(found)
 
+    def moments_of(self, channels: frozenset[int]) -> Moments | None:
+        """Means of the block that holds some channels, where all of them were recorded."""
+        from fdilog.maths.geometry import blocks
+
+        return next(
+            (
+                moments
+                for block in blocks(self.table.axes)
+                if channels <= set(block)
+                for moments in self._block_moments(block)
+                if channels <= set(moments.channels)
+            ),
+            None,
+        )
+
     def together(self, moments: Moments) -> tuple[NDArray[np.bool_], NDArray[np.int64], int]:
         """Find the samples that hold a reading of every channel of a block.
 
