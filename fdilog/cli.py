@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class _Commands(TyperGroup):
-    """The commands; Ctrl-C reaches `main`, for Typer's own answer is an exit without a word."""
+    """The commands; Ctrl-C and closed pipes reach `main`, which answers otherwise than Typer."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         with _past_typer():
@@ -40,10 +41,16 @@ def _past_typer() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise _Interrupted from None
+    except BrokenPipeError:
+        raise _Unheard from None
 
 
 class _Interrupted(BaseException):
     """Ctrl-C on its way past Typer."""
+
+
+class _Unheard(BaseException):
+    """A closed pipe on its way past Typer, whose exit code would say that a gyro failed."""
 
 
 app = typer.Typer(
@@ -65,12 +72,16 @@ class ExitCode(IntEnum):
     NOTHING = 2
     UNDECIDED = 3
     INTERRUPTED = 130
+    UNHEARD = 141
 
 
 MOST_SUMMARIES = 4
 """Logs of which each gets its summary on a terminal; of more, each gets a line."""
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs; - is standard input.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG...", help="Logs; - is standard input.", readable=False),
+]
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE.toml", help="See `fdilog config`.")
 ]
@@ -99,10 +110,20 @@ def _known_errors() -> Iterator[None]:
     except (KeyboardInterrupt, _Interrupted):
         _complain("interrupted")
         raise SystemExit(ExitCode.INTERRUPTED) from None
-    except BrokenPipeError:
-        # Whoever read our output has gone; what is left has no reader, and that is no error.
-        sys.stdout = None
-        raise SystemExit(ExitCode.HEALTHY) from None
+    except (BrokenPipeError, _Unheard):
+        # Whoever read our output has gone: what a shell says of those that the signal ends.
+        _let_go_of_output()
+        raise SystemExit(ExitCode.UNHEARD) from None
+    except OSError as error:
+        _let_go_of_output()
+        _complain(f"{error.filename or 'output'}: {(error.strerror or str(error)).lower()}")
+        raise SystemExit(ExitCode.NOTHING) from None
+
+
+def _let_go_of_output() -> None:
+    """Send what is still to be written to standard output nowhere."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(text: str) -> None:
@@ -191,8 +212,6 @@ def analyse(
             place = f"{number} of {len(logs)}: " if len(logs) > 1 else ""
             with _progress(log, place, shown=not quiet) as step:
                 analysis = _analysed(log, settings, part, step)
-        except UsageError:
-            raise
         except FdilogError as error:
             codes.append(ExitCode.NOTHING)
             _complain(str(error))
@@ -289,6 +308,8 @@ def _report_names(formats: str, output: Path | None, *, pictures: bool = False) 
 
     if formats and output is None:
         raise UsageError("--format needs a folder: add -o DIR")
+    if output is not None and output.exists() and not output.is_dir():
+        raise UsageError(f"{output}: is a file, not a folder")
     names = _names(formats) or ["html", "md", "json"]
     for name in names:
         plugin("reports", name)

@@ -82,7 +82,7 @@ def opened(path: Path) -> Iterator[Opened]:
             plain: Path = source
             problems: tuple[Problem, ...] = ()
             if _wrapped(source):
-                plain, problems = _unwrapped(source, Path(folder))
+                plain, problems = _unwrapped(source, Path(folder), named=path)
             size = source.stat().st_size
             yield Opened(named=path, path=plain, bytes=size, problems=problems)
     except OSError as error:
@@ -105,7 +105,7 @@ def _wrapped(path: Path) -> bool:
     return head_of(path).startswith((_GZIP, _ZSTD, _ZIP))
 
 
-def _unwrapped(path: Path, folder: Path) -> tuple[Path, tuple[Problem, ...]]:
+def _unwrapped(path: Path, folder: Path, *, named: Path) -> tuple[Path, tuple[Problem, ...]]:
     head = head_of(path)
     plain = folder / "unwrapped" / (path.stem or "log")
     plain.parent.mkdir()
@@ -125,7 +125,7 @@ def _unwrapped(path: Path, folder: Path) -> tuple[Path, tuple[Problem, ...]]:
                 _copy(file, plain, limit)
     except (EOFError, zlib.error, OSError, UnreadableLogError, _zstd_error()) as error:
         if isinstance(error, UnreadableLogError) or not plain.exists() or not plain.stat().st_size:
-            raise UnreadableLogError(f"{path}: cannot be decompressed: {error}") from None
+            raise UnreadableLogError(f"{named}: cannot be decompressed: {error}") from None
         lost = Problem(what=f"the compressed file is damaged or ends early: {error}")
         return plain, (lost,)
     return plain, ()
@@ -166,7 +166,8 @@ def _unzipped(path: Path, folder: Path, limit: int) -> Path:
 def _copy(source: IO[bytes] | BufferedIOBase, target: Path, limit: int | None) -> None:
     written = 0
     with target.open("wb") as file:
-        while block := source.read(COPY_BYTES):
+        # All the streams have it: of one that ends early, it gives what there is of the last block.
+        while block := source.read1(COPY_BYTES):  # type: ignore[union-attr]
             written += len(block)
             if limit is not None and written > limit:
                 raise UnreadableLogError(f"grows to more than {limit:,} bytes")

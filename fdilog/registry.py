@@ -125,7 +125,11 @@ def read(path: str | Path, also: Collection[str] = ()) -> Recording:
 
 def read_opened(log: Opened, also: Collection[str] = ()) -> Recording:
     """Read a log that has been unwrapped; see `read`."""
-    recording = read_plain(log.path, also)
+    try:
+        recording = read_plain(log.path, also)
+    except UnreadableLogError as error:
+        # The name of a temporary file says nothing to anybody.
+        raise UnreadableLogError(str(error).replace(str(log.path), str(log.named))) from error
     return replace(
         recording,
         path=str(log.named),

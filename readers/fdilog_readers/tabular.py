@@ -1,8 +1,9 @@
 """Tables (.csv, .parquet): one column ``time_s`` and one of each gyro channel.
 
 A header is a name and, in brackets, a unit: ``gx [deg/s]``; without one it is rad/s. Columns whose
-unit is no angular rate (``ax [m/s^2]``) are read but are no gyros. Channels are called what their
-headers say, without the unit.
+unit is no angular rate (``ax [m/s^2]``), or that have none and are called as accelerometers,
+compasses and thermometers are, are read but are no gyros. Channels are called what their headers
+say, without the unit.
 
 A name with a dot belongs to the source before its last dot: ``imu0.x``, ``imu0.y`` and ``imu0.z``
 are the stream ``imu0`` with fields x, y, z. So are, where there are several, three gyros beside
@@ -15,7 +16,7 @@ slower than the table, or falls silent, is seen to do so.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,6 +35,14 @@ TIME = "time_s"
 UNDOTTED = "table"
 HEADER = re.compile(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))")
 AXIS = re.compile(r"(.*?)([xyz])([_ ]?\d*)", re.IGNORECASE)
+# Without a unit a column is a rate in rad/s, but for what is called as no gyro is. The shortest
+# such names may be any device's, unless gyros that are called as such are beside them.
+NO_RATE = re.compile(
+    r"(acc|accel|acceleration|mag)_?[xyz]\d*|(temp|temperature|press|pressure)_?\d*",
+    re.IGNORECASE,
+)
+NO_RATE_BESIDE_GYROS = re.compile(r"[am]_?[xyz]\d*", re.IGNORECASE)
+CALLED_GYRO = re.compile(r"(|g|gyr|gyro|w|omega)_?[xyz]\d*", re.IGNORECASE)
 RATE_RAD_S = {
     "rad/s": 1.0,
     "mrad/s": 1e-3,
@@ -108,6 +117,10 @@ def _named(cells: Cells, key: int, problems: list[Problem]) -> list[_Column]:
         name = matched[1] if matched else header
         unit = (matched[2] or matched[3] or "").strip() if matched else "rad/s"
         note = ""
+        if not matched and _is_no_rate(name, cells.headers):
+            unit = ""
+            what = f"column '{name}' has no unit, and its name is none of a gyro: not compared"
+            problems.append(Problem(what=what, note=True))
         if not name:
             note = f"column {number + 1} has no name: left out"
         elif number in cells.wordy:
@@ -128,6 +141,16 @@ def _named(cells: Cells, key: int, problems: list[Problem]) -> list[_Column]:
         problems += [replace(p, note=unit not in RATE_RAD_S) for p in bad]
         columns.append(_Column(name, unit, cells.columns[number]))
     return columns
+
+
+def _is_no_rate(name: str, headers: Sequence[str]) -> bool:
+    """Tell whether a column without a unit is called as accelerometers and the like are."""
+    source, _, field = name.rpartition(".")
+    if NO_RATE.fullmatch(field):
+        return True
+    beside = [other.rpartition(".") for other in headers]
+    gyros = any(one[0] == source and CALLED_GYRO.fullmatch(one[2]) for one in beside)
+    return gyros and NO_RATE_BESIDE_GYROS.fullmatch(field) is not None
 
 
 def _streams(

@@ -33,7 +33,7 @@ def command(path: str, config: Config, part: Part | None = None) -> str:
 
 def _shell_word(path: str) -> str:
     """Quote a path for the shell, as $'...' where it holds what does not print."""
-    word = path if not path.startswith("-") else f"./{path}"
+    word = f"./{path}" if path.startswith("-") and path != "-" else path
     if word.isprintable():
         return shlex.quote(word)
     parts = [

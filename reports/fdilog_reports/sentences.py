@@ -223,6 +223,9 @@ _UNSIZED = {
     "disagreement": "disagreed with what was expected of it",
 }
 
+# Of so short a time it is said how short it is: hardly any fault would have shown. [s]
+BRIEF_S = 10.0
+
 VERDICT_WORD = {
     "failed": "Failed",
     "healthy": "Healthy as far as this log can tell",
@@ -246,10 +249,14 @@ def verdict_sentence(analysis: Analysis) -> str:
     unsure = [name for name, status in gyros if status == "undecided"]
     tolerance = f"{figure(analysis.config.tolerance.bias_deg_s)} deg/s"
     if analysis.verdict == "healthy":
+        duration_s = analysis.table.duration_s
+        brief = ""
+        if duration_s < BRIEF_S:
+            brief = f" It lasts {figure(duration_s)} s, in which hardly a fault would have shown."
         return (
             f"No channel was found to have failed, and all {several(len(judged), 'channel')} that"
             f" could be compared kept within {tolerance} of what the others say, in windows that"
-            " cover at least 90 % of the time."
+            f" cover at least 90 % of the time.{brief}"
         )
     if unsure:
         return (

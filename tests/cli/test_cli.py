@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import os
 import subprocess
 import sys
 import time
@@ -170,8 +172,6 @@ def test_what_export_writes_analyse_reads(sample_logs: Path, tmp_path: Path) -> 
 
 
 def test_standard_input_and_compressed_logs_are_read(sample_logs: Path, tmp_path: Path) -> None:
-    import gzip
-
     content = (sample_logs / "stuck.bin").read_bytes()
     packed = tmp_path / "stuck.bin.gz"
     packed.write_bytes(gzip.compress(content))
@@ -214,3 +214,67 @@ def test_help_imports_nothing_heavy() -> None:
     assert fdilog("--help").returncode == 0
     # Far above what it takes; only a heavy import could reach it.
     assert time.perf_counter() - start < 5.0
+
+
+def test_a_log_that_does_not_fit_the_options_has_its_line_and_the_others_are_analysed(
+    sample_logs: Path,
+) -> None:
+    logs = [sample_logs / name for name in ("skewed_bias.csv", "three_imus_bias.bin")]
+    done = fdilog("analyse", "--json", *logs)
+    first, second = (json.loads(line) for line in done.stdout.splitlines())
+    assert "--geometry" in first["error"]
+    assert second["verdict"] == "failed"
+    assert done.returncode == 1
+    one_line(done.stderr)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closed pipes end a program otherwise there")
+@pytest.mark.parametrize("arguments", [("config",), ("analyse", "-q")])
+def test_a_closed_pipe_is_no_verdict(sample_logs: Path, arguments: tuple[str, ...]) -> None:
+    log = [sample_logs / "three_imus_healthy.bin"] if arguments[0] == "analyse" else []
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "fdilog", *map(str, (*arguments, *log))]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False, timeout=120)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("arguments", [("config",), ("analyse", "-q")])
+def test_a_full_disk_is_one_line(sample_logs: Path, arguments: tuple[str, ...]) -> None:
+    log = [sample_logs / "three_imus_healthy.bin"] if arguments[0] == "analyse" else []
+    command = [sys.executable, "-m", "fdilog", *map(str, (*arguments, *log))]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, check=False, timeout=120
+        )
+    assert done.returncode == 2
+    assert "no space left" in one_line(done.stderr)
+
+
+def test_a_file_in_the_place_of_the_folder_is_told_before_anything_is_analysed(
+    sample_logs: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out").write_text("")
+    done = fdilog("analyse", sample_logs / "three_imus_bias.bin", "-o", tmp_path / "out")
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert "is a file, not a folder" in one_line(done.stderr)
+
+
+def test_of_a_packed_log_that_ends_early_all_that_is_there_is_read(
+    sample_logs: Path, tmp_path: Path
+) -> None:
+    packed = gzip.compress((sample_logs / "three_imus_bias.bin").read_bytes())
+    cut = tmp_path / "cut.bin.gz"
+    cut.write_bytes(packed[: len(packed) * 3 // 4])
+    done = fdilog("analyse", "--json", cut)
+    result = json.loads(done.stdout)
+    assert result["verdict"] == "failed"
+    assert any("ends early" in one["what"] for one in result["completeness"]["problems"])
+
+
+def test_an_empty_standard_input_is_called_so() -> None:
+    done = fdilog("analyse", "-", stdin=b"")
+    assert done.returncode == 2
+    assert one_line(done.stderr) == "fdilog: -: the file is empty\n"

@@ -136,6 +136,12 @@ def test_a_damaged_log_of_healthy_channels_is_undecided_because_of_what_is_lost(
     )
 
 
+def test_of_a_log_of_seconds_it_is_said_how_short_it_is() -> None:
+    said = verdict_sentence(analysis(table(duration_s=4.0), verdict="healthy"))
+    assert said.endswith(" It lasts 3.98 s, in which hardly a fault would have shown.")
+    assert "lasts" not in verdict_sentence(analysis(verdict="healthy"))
+
+
 def test_one_gyro_alone_is_insufficient_and_why() -> None:
     made = analysis(table(sources=1), verdict="insufficient")
     assert verdict_sentence(made) == (

@@ -353,3 +353,16 @@ def test_parquet_without_pyarrow_names_the_extra(
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(UnreadableLogError, match=r"pip install 'fdilog\[parquet\]'"):
         tabular.read(path)
+
+
+def test_what_is_called_as_no_gyro_is_and_has_no_unit_is_compared_with_nothing(
+    tmp_path: Path,
+) -> None:
+    header = "time_s,imu0.x,imu0.y,imu0.z,imu0.ax,imu0.acc_y,imu0.mag_z,imu0.temp\n"
+    recording = read(tmp_path, header + "".join(f"{k},1,2,3,4,5,6,7\n" for k in range(3)))
+    assert only(recording).channel_names == ("imu0.x", "imu0.y", "imu0.z")
+    assert [note.split("'")[1] for note in notes(recording)] == [
+        "imu0.ax", "imu0.acc_y", "imu0.mag_z", "imu0.temp",
+    ]  # fmt: skip
+    named = read(tmp_path, "time_s,ax [deg/s]\n0,1\n1,2\n")
+    assert only(named).channel_names == ("ax",)
