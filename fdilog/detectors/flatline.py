@@ -170,9 +170,11 @@ def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[fl
     levels, turns = np.unique(values[start[repeated]], return_counts=True)
     below = np.cumsum(turns) - turns
     outer = turns > np.minimum(below, turns.sum() - turns - below)
+    # A range is as wide on both sides.
+    both = turns + np.array([turns[levels == -level].sum() for level in levels.tolist()], np.int64)
     middle, step = float(np.median(values)), table.channels[channel].step_rad_s
     ends = []
-    for end in levels[outer & (turns >= FEWEST_TURNS)].tolist():
+    for end in levels[outer & (both >= FEWEST_TURNS)].tolist():
         outward = np.sign(end - middle) * (values - end)
         band = max(BESIDE_THE_END * abs(end - middle), MOVING_STEPS * step)
         at = np.flatnonzero(outward == 0.0)
@@ -186,7 +188,7 @@ def _ends_of_range(table: ChannelTable, channel: int, config: Config) -> list[fl
             )
         ):
             ends.append(end)
-    often = levels[turns >= FEWEST_TURNS]
+    often = levels[both >= FEWEST_TURNS]
     return sorted({*ends, *(float(end) for end in often if -end in ends)})
 
 

@@ -76,6 +76,14 @@ def test_a_gyro_that_turns_faster_than_it_can_tell_is_saturated_once(size_deg_s:
     assert "times" in finding.detail
 
 
+def test_a_range_that_ends_twice_on_one_side_and_once_on_the_other_ends_three_times() -> None:
+    table = triads(2, seconds=14.0, sigma_deg_s=0.1)
+    rate = table.rate_rad_s.copy()
+    rate[:, 0] = np.clip(rate[:, 0], -7.0 * DEG, 7.0 * DEG)
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("saturated", ("imu0.x",))
+
+
 def test_a_gyro_that_is_stuck_all_along_is_not_at_the_end_of_its_range() -> None:
     table = triads(2, seconds=80.0)
     rate = table.rate_rad_s.copy()
