@@ -353,7 +353,7 @@ def blind_spots(analysis: Analysis) -> list[str]:
             " a gyro of its own: a witness for faults that last seconds, blind to short ones."
         )
     gyros = analysis.table.gyros
-    checked = detectable(gyros.axes)
+    checked = detectable(gyros.axes).tolist() if gyros.channels else []
     lone = [
         shown(name)
         for name, by_gyros in zip(gyros.names, checked, strict=True)
