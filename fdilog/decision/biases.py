@@ -53,11 +53,11 @@ def bias_findings(
     )
     findings = []
     for joined in _joined_faults(calibrated, faults, config):
-        fault = _heard(calibrated, joined, config, hearing)
+        fault = heard(calibrated, joined, config, hearing)
         if fault is None:
             continue
         finding = finding_of(table, fault, config)
-        if _within(finding, config):
+        if within(finding, config):
             continue
         agree, dissent = _sides(table, evidence, by_detector, fault)
         findings.append(replace(finding, detectors=agree, dissent=dissent))
@@ -97,7 +97,7 @@ def _moments(table: ChannelTable, fault: Fault, config: Config) -> Moments | Non
     return Survey(table=table, windows=windows, config=config).moments_of(fault.suspects)
 
 
-def _heard(
+def heard(
     table: ChannelTable, fault: Fault, config: Config, hearing: Hearing | None
 ) -> Fault | None:
     """Let the witness say which of several suspects failed.
@@ -201,7 +201,7 @@ def finding_of(table: ChannelTable, fault: Fault, config: Config) -> Finding:
     )
 
 
-def _within(finding: Finding, config: Config) -> bool:
+def within(finding: Finding, config: Config) -> bool:
     """Whether what is measured of a bias in the readings as logged is within tolerance after all.
 
     It was beyond it in the readings less what is in proportion to the rate, and so by what was

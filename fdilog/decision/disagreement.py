@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdilog.config import Config
-from fdilog.decision.biases import finding_of
+from fdilog.decision.accusations import Accusation, Cluster
+from fdilog.decision.biases import Hearing, finding_of, heard, within
 from fdilog.decision.shapes import Fault, shaped
+from fdilog.decision.steps import step_of
 from fdilog.finding import Finding
 from fdilog.maths.geometry import blocks, leave_one_out
 from fdilog.maths.noise import NORMAL_CONSISTENCY, moving_mean
@@ -62,15 +64,20 @@ SHORTEST_S = 1e-9
 """No clock of a log tells less apart."""
 
 SHAPES = ("bias", "drift", "scale")
+UNEXPLAINED = ", which no bias, drift, scale error, noise or mounting explains"
 
 
 def with_disagreement(
-    table: ChannelTable, logged: ChannelTable, findings: Sequence[Finding], config: Config
+    table: ChannelTable,
+    logged: ChannelTable,
+    findings: Sequence[Finding],
+    config: Config,
+    hearing: Hearing | None = None,
 ) -> list[Finding]:
     """Add disagreements to the findings, in the place of those that they contain.
 
-    One that a scale error, a drift, or a bias that changes explains after all is a finding of that
-    kind.
+    One that a bias, a drift, a scale error, or a bias that changes explains after all is a finding
+    of that kind; of several suspects of a bias the witness may name one.
 
     Parameters
     ----------
@@ -92,38 +99,68 @@ def with_disagreement(
             start_s=min([found.start_s, *(one.start_s for one in shapes)]),
             end_s=max([found.end_s, *(one.end_s for one in shapes)]),
         )
-        kept.append(
-            _of_known_kind(table, logged, whole, kept, config)
-            or _changing_bias(table, logged, whole, (parts, kept), config)
-            or whole
-        )
+        fault = _fault(table, whole, parts, config, hearing)
+        explained = None if fault is None else finding_of(logged, fault, config)
+        if explained is not None and _explains(table, explained, whole, kept, config):
+            seen_in = found.detail.removesuffix(UNEXPLAINED)
+            detail = f"{explained.detail}; {seen_in}"
+            kept.append(replace(explained, detectors=(DETECTOR,), detail=detail))
+        else:
+            kept.append(_changing_bias(table, logged, whole, (parts, kept), config) or whole)
     return kept
 
 
-def _of_known_kind(
+def _fault(
     table: ChannelTable,
-    logged: ChannelTable,
+    found: Finding,
+    parts: Sequence[Finding],
+    config: Config,
+    hearing: Hearing | None,
+) -> Fault | None:
+    """Return the drift or scale error that a disagreement may be, or the bias if none is known."""
+    suspects = frozenset(table.names.index(name) for name in found.suspects)
+    start, stop = np.searchsorted(table.time_s, [found.start_s, found.end_s]).tolist()
+    span = Shape(kind="bias", start=start, stop=stop + 1, gain=0.0, size=0.0)
+    fault = shaped(table, Fault(suspects=suspects, shape=span, longest_s=0.0), config)
+    if fault.shape.kind != "bias":
+        return fault
+    if parts:
+        return None
+    # Too short, or too loud, for windows to tell that its mean is beyond tolerance for sure.
+    seen = Accusation(
+        kind="bias",
+        detector=DETECTOR,
+        suspects=suspects,
+        start=start,
+        stop=stop + 1,
+        length_s=found.end_s - found.start_s,
+    )
+    return heard(table, step_of(table, Cluster.of(seen), config), config, hearing)
+
+
+def _explains(
+    table: ChannelTable,
+    explained: Finding,
     found: Finding,
     others: Sequence[Finding],
     config: Config,
-) -> Finding | None:
-    """Return the drift or scale error that explains a disagreement, if one does."""
-    suspects = frozenset(table.names.index(name) for name in found.suspects)
-    start, stop = np.searchsorted(table.time_s, [found.start_s, found.end_s])
-    span = Shape(kind="bias", start=int(start), stop=int(stop) + 1, gain=0.0, size=0.0)
-    fault = shaped(table, Fault(suspects=suspects, shape=span, longest_s=0.0), config)
-    if fault.shape.kind == "bias":
-        return None
-    known = finding_of(logged, fault, config)
-    size = known.size
-    if size is None or (
-        known.kind == "scale" and max(size.low - 1.0, 1.0 - size.high) < config.tolerance.scale
-    ):
-        return None
-    left = disagreements(table, [*others, known], config)
-    if any(overlap(one, known) or overlap(one, found) for one in left):
-        return None
-    return replace(known, detectors=(DETECTOR,))
+) -> bool:
+    """Whether a finding of a known kind has a size, and leaves nothing of a disagreement."""
+    if not _sized(explained, config):
+        return False
+    left = disagreements(table, [*others, explained], config)
+    return not any(overlap(one, explained) or overlap(one, found) for one in left)
+
+
+def _sized(finding: Finding, config: Config) -> bool:
+    """Whether a finding has a size that is some error for sure, and likely one beyond tolerance."""
+    size = finding.size
+    if size is None:
+        return False
+    if finding.kind == "scale":
+        return max(size.low - 1.0, 1.0 - size.high) >= config.tolerance.scale
+    signed = size.low > 0.0 or size.high < 0.0
+    return finding.kind != "bias" or (signed and not within(finding, config))
 
 
 def _changing_bias(
@@ -302,8 +339,8 @@ def disagreements(
                 end_s=float(cells.end_s[last - 1]),
                 detectors=(DETECTOR,),
                 detail=(
-                    f"beyond tolerance for sure in {count} of {last - first} half seconds, which no"
-                    " bias, drift, scale error, noise or mounting explains"
+                    f"beyond tolerance for sure in {count} of {last - first} half seconds"
+                    f"{UNEXPLAINED}"
                 ),
             )
 

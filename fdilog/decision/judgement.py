@@ -110,7 +110,7 @@ def judge(
         *noise,
         *guaranteed_findings(heard, sampled, biased, config),
     ]
-    findings = with_disagreement(sound.gyros, heard.gyros, findings, config)
+    findings = with_disagreement(sound.gyros, heard.gyros, findings, config, hearing)
     findings = with_delays(sound.gyros, findings, config)
     findings += gain_findings(table, multiplied)
     findings.sort(key=lambda f: (f.start_s, f.end_s, f.kind, f.suspects))

@@ -65,6 +65,8 @@ def _placed_step(
     for trace in widened(table, accused, reach_s, config):
         step = best_step(trace.residual, trace.weight())
         placed = trace.placed(step)
+        if placed.start >= accused.stop or placed.stop <= accused.start:
+            break  # what shakes beside it more than it is off is nothing of it
         if found is not None and (placed.start > found.start or placed.stop < found.stop):
             break  # a larger fault nearby is another one
         found = placed

@@ -176,3 +176,19 @@ def test_a_flight_of_a_few_samples_tells_nothing(samples: int) -> None:
     )
     assert with_disagreement(table, table, [], Config()) == []
     assert mountings(table).found == ()
+
+
+@pytest.mark.parametrize(("sources", "suspects"), [(3, {"imu1.x"}), (2, {"imu0.x", "imu1.x"})])
+def test_a_bias_that_no_window_told_of_is_a_bias_over_its_own_span(
+    sources: int, suspects: set[str]
+) -> None:
+    fault = Fault(kind="bias", channel="imu1.x", start_s=31.0, end_s=49.0, size=np.radians(-3.0))
+    table = assemble(inject(flight(sources), [fault]).recording, Config()).table
+    (finding,) = with_disagreement(table, table, [], Config())
+    assert (finding.kind, set(finding.suspects)) == ("bias", suspects)
+    assert (finding.start_s, finding.end_s) == pytest.approx((31.0, 49.0), abs=0.2)
+    assert finding.size is not None
+    off = np.radians(-3.0 if finding.suspects[0] == "imu1.x" else 3.0)
+    assert finding.size.low < off < finding.size.high
+    assert "half seconds" in finding.detail
+    assert "explains" not in finding.detail
