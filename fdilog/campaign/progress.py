@@ -5,18 +5,18 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 from fdilog.campaign.audit import Progress
-from fdilog.campaign.summary import Campaign
+from fdilog.campaign.summary import Campaign, Cell
 from fdilog.escapes import visible
 
 STYLE = {"failed": "red", "healthy": "green", "undecided": "yellow", "not analysed": "magenta"}
 MOST_NAMED = 10
-"""Vehicles in the closing words; the rest are in the report."""
+"""Vehicles, and channels of each, in the closing words; the rest are in the report."""
 
 
 @contextmanager
@@ -113,18 +113,31 @@ def summary_lines(campaign: Campaign, output: Path) -> Iterator[str]:
     told = ", ".join(f"{number} {state}" for state, number in counts.items() if number)
     number = len(campaign.logs)
     yield f"{number} log{'s' * (number != 1)}: {told}"
-    failing: dict[str, dict[str, int]] = defaultdict(dict)
-    for cell in campaign.cells:
+    failing: dict[str, list[Cell]] = defaultdict(list)
+    for cell in sorted(campaign.cells, key=lambda cell: (-cell.failed, -cell.suspect)):
         if cell.failed or cell.suspect:
-            failing[cell.vehicle][cell.channel] = cell.failed + cell.suspect
-    ranked = sorted(failing.items(), key=lambda item: (-max(item[1].values()), item[0]))
-    for vehicle, channels in ranked[:MOST_NAMED]:
-        yield "  failed: " + visible(
-            f"{vehicle}: "
-            + ", ".join(f"{name} in {n} flight{'s' * (n > 1)}" for name, n in channels.items())
-        )
+            failing[cell.vehicle].append(cell)
+    ranked = sorted(failing.items(), key=lambda item: (*_worst(item[1]), item[0]))
+    for vehicle, cells in ranked[:MOST_NAMED]:
+        named = [_told(cell) for cell in cells[:MOST_NAMED]]
+        if len(cells) > MOST_NAMED:
+            named.append(f"{len(cells) - MOST_NAMED} more channels")
+        yield "  failed: " + visible(f"{vehicle}: {', '.join(named)}")
     if len(ranked) > MOST_NAMED:
         yield f"  and {len(ranked) - MOST_NAMED} more vehicles"
     for series in campaign.drifting[:MOST_NAMED]:
         yield "  drifts: " + visible(f"{series.vehicle}: {series.channel}, {series.quantity}")
     yield f"report: {output / 'index.html'}; results: {output / 'audit.sqlite'}"
+
+
+def _worst(cells: Sequence[Cell]) -> tuple[int, int]:
+    return -max(cell.failed for cell in cells), -max(cell.suspect for cell in cells)
+
+
+def _told(cell: Cell) -> str:
+    number = cell.failed or cell.suspect
+    flights = f"{number} flight{'s' * (number > 1)}"
+    if not cell.failed:
+        return f"{cell.channel} suspect in {flights}"
+    more = f" (suspect in {cell.suspect} more)" if cell.suspect else ""
+    return f"{cell.channel} in {flights}{more}"

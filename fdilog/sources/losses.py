@@ -86,14 +86,15 @@ def _late_starts(gyros: Sequence[Gyro], base: TimeBase, config: Config) -> list[
 
 
 def _not_finite(gyros: Sequence[Gyro]) -> list[Problem]:
+    """List the channels that lack readings here and there, while others may have theirs."""
     problems = []
     for gyro in gyros:
         for k, name in enumerate(gyro.channel_names):
             bad = int((~np.isfinite(gyro.rate_rad_s[:, k])).sum())
             if bad:
-                lost = bad / gyro.rate_hz if len(gyro.time_ns) > 1 else None
-                what = f"{name}: {bad} readings are not finite numbers, or beyond any turn"
-                problems.append(Problem(what=what, seconds_lost=lost))
+                of = f"{bad:,} of {len(gyro.time_ns):,} readings"
+                what = f"{name}: {of} are not finite numbers, or beyond any turn"
+                problems.append(Problem(what=what))
     return problems
 
 

@@ -230,11 +230,12 @@ def _cell(cell: Cell | None) -> MatrixCell | None:
     states = ("failed", "suspect", "undecided", "healthy", "insufficient")
     told = [f"{getattr(cell, state)} {state}" for state in states if getattr(cell, state)]
     compared = cell.flights - cell.insufficient
-    bad = cell.failed + cell.suspect
+    bad = [str(number) for number in (cell.failed, cell.suspect) if number]
     if not compared:
         mark, text = "insufficient", "\u2013"
     elif bad:
-        mark, text = ("failed" if cell.failed else "suspect"), f"{bad} of {compared}"
+        mark = "failed" if cell.failed else "suspect"
+        text = f"{' + '.join(bad)} of {compared}"
     elif cell.undecided:
         mark, text = "undecided", f"0 of {compared} ?"
     else:

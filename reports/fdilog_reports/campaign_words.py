@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import PurePath
 
-from fdilog.campaign.summary import NOT_ANALYSED, Campaign, LogEntry, Series
+from fdilog.campaign.summary import NOT_ANALYSED, Campaign, Cell, LogEntry, Series
 from fdilog.campaign.trend import CONFIDENCE, FEWEST
 from fdilog.finding import Finding
 from fdilog_reports.rows import amount_lost
@@ -154,6 +154,14 @@ def nothing_to_compare(campaign: Campaign) -> str:
     return f"{several(number, 'log has', 'logs have')} nothing to compare the gyros with."
 
 
+def times(cell: Cell, of: str) -> str:
+    """Say in how many of some flights a channel failed, and in how many it is one of several."""
+    if not cell.failed:
+        return f"suspect in {cell.suspect} of {of}"
+    more = f", suspect in {cell.suspect} more" if cell.suspect else ""
+    return f"failed in {cell.failed} of {of}{more}"
+
+
 def failing(campaign: Campaign) -> list[tuple[str, str, str]]:
     """Vehicles with failures, the worst first: name, what failed how often, one channel."""
     cells = defaultdict(list)
@@ -176,11 +184,8 @@ def failing(campaign: Campaign) -> list[tuple[str, str, str]]:
         alike: dict[str, list[str]] = defaultdict(list)
         for cell in bad:
             what = listed([kind for kind, _ in kinds[vehicle, cell.channel].most_common(3)])
-            how = "failed" if cell.failed else "suspect"
             of = several(cell.flights - cell.insufficient, "flight")
-            told = f"{how} in {cell.failed or cell.suspect} of {of}" + (
-                f" ({what})" if what else ""
-            )
+            told = f"{times(cell, of)}{f' ({what})' if what else ''}"
             alike[told].append(cell.channel)
         names = {cell.channel for cell in own}
         phrases = [f"{_channels(some, names)} {told}" for told, some in alike.items()]

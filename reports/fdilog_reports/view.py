@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 import fdilog
-from fdilog.analysis import Analysis
+from fdilog.analysis import Analysis, Completeness
 from fdilog_reports import provenance, sentences
 from fdilog_reports.agreement import Agreement, agreement
 from fdilog_reports.detectability import Detectability, detectability
@@ -158,8 +158,7 @@ def _verdict(analysis: Analysis) -> Verdict:
     lost = analysis.completeness
     if not lost.whole:
         notes.append(
-            f"The log is not whole: {amount_lost(lost.bytes_lost, lost.seconds_lost)}."
-            " What happened in the missing part is not known."
+            f"The log is not whole: {_loss(lost)}. What happened in the missing part is not known."
         )
     unseen = [
         shown(channel.name)
@@ -221,7 +220,7 @@ def _asked(analysis: Analysis) -> str:
 def _missing(analysis: Analysis) -> str:
     """Say in a few words what is not in the log or was not compared."""
     lost = analysis.completeness
-    parts = [] if lost.whole else [amount_lost(lost.bytes_lost, lost.seconds_lost)]
+    parts = [] if lost.whole else [_loss(lost)]
     gyros = [c.name for c in analysis.table.channels if not c.derived]
     status = dict(zip(analysis.table.names, analysis.status, strict=True))
     unseen = [shown(name) for name in gyros if status[name] == "insufficient"]
@@ -232,8 +231,17 @@ def _missing(analysis: Analysis) -> str:
 
 def _completeness(analysis: Analysis) -> str:
     lost = analysis.completeness
-    losses = sum(not problem.note for problem in lost.problems)
     if lost.whole:
         return "The log is whole as far as its format can tell."
-    at = f" in {several(losses, 'place')}" if losses else ""
-    return f"The log is not whole: {amount_lost(lost.bytes_lost, lost.seconds_lost)}{at}."
+    losses = sum(not problem.note for problem in lost.problems)
+    at = f" in {several(losses, 'place')}" if lost.bytes_lost or lost.seconds_lost else ""
+    return f"The log is not whole: {_loss(lost)}{at}."
+
+
+def _loss(lost: Completeness) -> str:
+    """Say how much is lost; if that is no piece of the log, what is."""
+    losses = [problem for problem in lost.problems if not problem.note]
+    if lost.bytes_lost or lost.seconds_lost or not losses:
+        return amount_lost(lost.bytes_lost, lost.seconds_lost)
+    more = f", and {several(len(losses) - 1, 'more loss', 'more losses')}" if losses[1:] else ""
+    return f"{shown(losses[0].what, SHOWN_TEXT)}{more}"

@@ -9,10 +9,12 @@ import html
 import json
 import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fdilog.campaign.progress import summary_lines
 from fdilog.finding import Size
 from fdilog_reports import campaign_html, campaign_json, campaign_junit, campaign_markdown
 from fdilog_reports.campaign_view import campaign_view
@@ -106,6 +108,30 @@ def test_channels_that_failed_alike_are_one_phrase() -> None:
     )
     (item,) = campaign_view(made).attention
     assert item.text == "all of imu0, imu1.y and imu1.z failed in 1 of 1 flight (dead)"
+
+
+def test_flights_in_which_a_gyro_is_one_of_several_suspects_are_counted_by_themselves() -> None:
+    sure, pair = finding("bias", "imu1.y"), finding("bias", "imu0.y", "imu1.y")
+    one_of_two = (("imu0.y", "suspect"), ("imu1.y", "suspect"))
+    healthy = (("imu0.y", "healthy"), ("imu1.y", "healthy"))
+    failed = (("imu0.y", "healthy"), ("imu1.y", "failed"))
+    made = campaign(
+        log("1.bin", verdict="failed", channels=failed, findings=(sure,)),
+        log("2.bin", verdict="failed", channels=failed, findings=(sure,)),
+        log("3.bin", verdict="failed", channels=one_of_two, findings=(pair,)),
+        log("4.bin", channels=healthy),
+    )
+    view = campaign_view(made)
+    assert view.attention[0].text == (
+        "imu1.y failed in 2 of 4 flights, suspect in 1 more (bias);"
+        " imu0.y suspect in 1 of 4 flights (bias)"
+    )
+    cells = dict(zip(view.channels, view.matrix[0].cells, strict=True))
+    assert [cells[name].text for name in ("imu0.y", "imu1.y")] == ["1 of 4", "2 + 1 of 4"]
+    told = list(summary_lines(made, Path("out")))
+    assert told[1] == (
+        "  failed: ann: imu1.y in 2 flights (suspect in 1 more), imu0.y suspect in 1 flight"
+    )
 
 
 def test_the_worst_failure_is_first_and_its_size_is_told() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import fdilog
 from fdilog.analysis import Part
 from fdilog.config import Config
 from fdilog.decision.autopilot import AutopilotNote
@@ -133,6 +136,22 @@ def test_a_damaged_log_of_healthy_channels_is_undecided_because_of_what_is_lost(
     assert note == (
         "The log is not whole: 12.3 kB (12\u202f345 bytes) and 4.2 s lost."
         " What happened in the missing part is not known."
+    )
+
+
+def test_readings_lost_here_and_there_are_no_time_lost_and_told_as_they_are(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(1)
+    frame = table(duration_s=60.0).to_pandas()
+    frame.mask(rng.random(frame.shape) < 0.1).to_csv(tmp_path / "log.csv")
+    found = fdilog.analyse(tmp_path / "log.csv")
+    assert (found.completeness.whole, found.completeness.seconds_lost) == (False, 0.0)
+    (note,) = report(found).verdict.notes
+    assert re.fullmatch(
+        r"The log is not whole: imu0\.x: \d+ of [\d,\u202f]+ readings are not finite numbers,"
+        r" or beyond any turn, and 8 more losses\. What happened .*",
+        note,
     )
 
 
