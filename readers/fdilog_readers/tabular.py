@@ -49,8 +49,13 @@ RATE_RAD_S = {
     "deg/s": np.pi / 180.0,
     "°/s": np.pi / 180.0,
     "dps": np.pi / 180.0,
+    "mdps": np.pi / 180e3,
+    "mdeg/s": np.pi / 180e3,
     "deg/h": np.pi / 180.0 / 3600.0,
+    "rpm": np.pi / 30.0,
 }
+SPELLED = ((" ", ""), ("radians", "rad"), ("degrees", "deg"), ("sec", "s"), ("hr", "h"))
+LIKE_A_RATE = re.compile(r".*(deg|rad|rev|turn|°).*(/|per|-1).*|.*(rpm|dps)", re.IGNORECASE)
 ACCELERATION = {"m/s^2", "m/s²", "m/s/s", "m/s2"}
 # Beyond this a nanosecond count does not fit an int64 with its differences: 146 years.
 LATEST_S = 2**62 / 1e9
@@ -115,32 +120,39 @@ def _named(cells: Cells, key: int, problems: list[Problem]) -> list[_Column]:
             continue
         matched = HEADER.fullmatch(header)
         name = matched[1] if matched else header
-        unit = (matched[2] or matched[3] or "").strip() if matched else "rad/s"
-        note = ""
-        if not matched and _is_no_rate(name, cells.headers):
-            unit = ""
-            what = f"column '{name}' has no unit, and its name is none of a gyro: not compared"
-            problems.append(Problem(what=what, note=True))
+        unit = _unit(matched[2] or matched[3] or "") if matched else "rad/s"
+        why = ""
         if not name:
-            note = f"column {number + 1} has no name: left out"
+            why = f"column {number + 1} has no name: left out"
         elif number in cells.wordy:
-            note = f"column '{name}' holds words, no numbers: left out"
+            why = f"column '{name}' holds words, no numbers: left out"
         elif name in names:
-            note = (
-                f"column '{name}' is there more than once; the later one is '{name}#{number + 1}'"
-            )
-        if note:
-            problems.append(Problem(what=note, note=True))
+            why = f"column '{name}' is there more than once; the later one is not compared"
+            name, unit = f"{name}#{number + 1}", ""
+        elif not matched and _is_no_rate(name, cells.headers):
+            why = f"column '{name}' has no unit, and its name is none of a gyro: not compared"
+            unit = ""
+        elif unit not in RATE_RAD_S and LIKE_A_RATE.fullmatch(unit):
+            why = f"column '{name}' is in {unit}, none of {', '.join(RATE_RAD_S)}: not compared"
+        if why:
+            problems.append(Problem(what=why, note=True))
         if not name or number in cells.wordy:
             continue
-        if name in names:
-            name = f"{name}#{number + 1}"
         names.add(name)
         # A cell that is no number is a loss of evidence only if it is a gyro's.
         bad = cells.bad.get(number, [])
         problems += [replace(p, note=unit not in RATE_RAD_S) for p in bad]
         columns.append(_Column(name, unit, cells.columns[number]))
     return columns
+
+
+def _unit(written: str) -> str:
+    """Return a unit as it is spelled here, if it is known; else as it is written."""
+    unit = written.strip()
+    spelled = unit.lower()
+    for long, short in SPELLED:
+        spelled = spelled.replace(long, short)
+    return spelled if spelled in RATE_RAD_S else unit
 
 
 def _is_no_rate(name: str, headers: Sequence[str]) -> bool:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from fdilog.analysis import Analysis
 from fdilog.decision.revealed import FEWEST_READINGS
 from fdilog.finding import Finding, Size
-from fdilog.maths.geometry import detectable
 from fdilog.sources.witness import SOURCE as WITNESS
+from fdilog_reports.lone import lone_gyros, unheld
 from fdilog_reports.residuals import drawn_evidence, intervals
 from fdilog_reports.words import (
     DEG_PER_RAD,
@@ -352,17 +352,19 @@ def blind_spots(analysis: Analysis) -> list[str]:
             f"{listed(witnesses)} {'is' if len(witnesses) == 1 else 'are'} derived, not measured by"
             " a gyro of its own: a witness for faults that last seconds, blind to short ones."
         )
-    gyros = analysis.table.gyros
-    checked = detectable(gyros.axes).tolist() if gyros.channels else []
-    lone = [
-        shown(name)
-        for name, by_gyros in zip(gyros.names, checked, strict=True)
-        if not by_gyros and name in compared
-    ]
+    lone = [shown(name) for name in lone_gyros(analysis)]
     if lone:
         said.append(
             f"{listed(lone)}: checked by no other gyro, so noise, a scale error, or a few readings"
             " that are off by no more than a vehicle may turn would hardly have shown."
+        )
+    doubtful = [shown(name) for name in unheld(analysis)]
+    if doubtful:
+        axes = "its axis" if len(doubtful) == 1 else "their axes"
+        said.append(
+            f"{listed(doubtful)}: held against the attitude alone, which nothing else in this log"
+            f" holds to the truth about {axes}. A filter that follows a failed gyro agrees with it,"
+            " so that they agree decides nothing."
         )
     said += [f"{unused[0].upper()}{unused[1:]}." for unused in _attitude_unused(analysis)]
     said += limits(analysis)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fdilog.analysis import Analysis
 from fdilog.finding import Evidence
 from fdilog_reports.figures import BINS, Floats, Span, Tick, TimeAxis, finding_spans
+from fdilog_reports.lone import unheld
 from fdilog_reports.residuals import leading
 from fdilog_reports.words import flight_time, shown
 
@@ -89,6 +90,8 @@ def channel_state(analysis: Analysis, column: int, edges: Floats) -> NDArray[np.
         state[silent & _covered(edges, start_s[healthy], end_s[healthy])] = 3
         state[silent & _covered(edges, start_s[unsure], end_s[unsure])] = 2
     state = np.where(state < 0, np.where(tested, 2, 1), state)
+    if name in unheld(analysis):
+        state = np.minimum(state, 2)
     return np.where(present, state, 0)
 
 

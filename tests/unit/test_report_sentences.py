@@ -16,8 +16,10 @@ from fdilog.config import Config
 from fdilog.decision.autopilot import AutopilotNote
 from fdilog.finding import Finding, Size
 from fdilog.sources.gyros import SourceInfo
+from fdilog.table import ChannelTable
 from fdilog_reports import html
 from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
+from fdilog_reports.timeline import timeline
 from fdilog_reports.view import report
 from fdilog_reports.words import DEG_PER_RAD
 from tests.reports_factory import (
@@ -203,17 +205,34 @@ def test_a_gyro_that_only_a_model_of_the_vehicle_checks_is_said_to_be() -> None:
     )
 
 
-def test_what_an_attitude_does_not_tell_of_a_gyro_is_said_where_no_other_gyro_checks_it() -> None:
+def with_attitude() -> ChannelTable:
+    """One gyro an axis, beside an attitude."""
     two = table(sources=2)
-    one = replace(
-        two,
-        channels=tuple(
-            replace(c, name=f"att.{c.name[-1]}", source="att", derived=True)
-            if c.source == "imu1"
-            else c
-            for c in two.channels
-        ),
+    channels = tuple(
+        replace(c, name=f"att.{c.name[-1]}", source="att", derived=True)
+        if c.source == "imu1"
+        else c
+        for c in two.channels
     )
+    return replace(two, channels=channels)
+
+
+def test_that_a_gyro_agrees_with_an_attitude_that_nothing_holds_decides_nothing() -> None:
+    made = with_attitude()
+    why = "imu0.x: held against the attitude alone, which nothing else in this log holds"
+    unheld = status_of(made, imu0_x="undecided", att_x="undecided")
+    for status, doubtful in ((unheld, True), (status_of(made), False)):
+        found = analysis(made, status=status)
+        assert any(said.startswith(why) for said in blind_spots(found)) == doubtful
+        drawn = {
+            lane.channel: {span.state for span in lane.spans} for lane in timeline(found).lanes
+        }
+        assert drawn["imu0.x"] == ({"undecided"} if doubtful else {"healthy"})
+        assert drawn["imu0.y"] == {"healthy"}
+
+
+def test_what_an_attitude_does_not_tell_of_a_gyro_is_said_where_no_other_gyro_checks_it() -> None:
+    one, two = with_attitude(), table(sources=2)
     why = (
         ": checked by no other gyro, so noise, a scale error, or a few readings that are off by no"
         " more than a vehicle may turn would hardly have shown."

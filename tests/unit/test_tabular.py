@@ -205,9 +205,30 @@ def test_columns_without_a_name_or_with_the_same_name_are_told(tmp_path: Path) -
     recording = read(tmp_path, ",time_s,g1,g1\n0,0,1,2\n")
     assert notes(recording) == [
         "column 1 has no name: left out",
-        "column 'g1' is there more than once; the later one is 'g1#4'",
+        "column 'g1' is there more than once; the later one is not compared",
     ]
-    assert only(recording).channel_names == ("g1", "g1#4")
+    assert only(recording).channel_names == ("g1",)
+    assert only(recording).columns["g1#4"].tolist() == [2.0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "rad_s"),
+    [
+        ("Deg/sec", np.pi / 180.0), ("degrees / s", np.pi / 180.0), ("DPS", np.pi / 180.0),
+        ("mdps", np.pi / 180e3), ("radians/sec", 1.0), ("rpm", np.pi / 30.0),
+        ("deg/hr", np.pi / 648e3),
+    ],
+)  # fmt: skip
+def test_units_are_known_as_people_write_them(tmp_path: Path, unit: str, rad_s: float) -> None:
+    recording = read(tmp_path, f"time_s,g1 [{unit}]\n0,1\n")
+    assert only(recording).columns["g1"].tolist() == pytest.approx([rad_s])
+
+
+def test_a_rate_in_a_unit_that_is_not_known_is_named_and_not_compared(tmp_path: Path) -> None:
+    recording = read(tmp_path, "time_s,g1 [rev/min],ax [m/s^2],yaw [deg]\n0,1,2,3\n")
+    (note,) = notes(recording)
+    assert note.startswith("column 'g1' is in rev/min, none of rad/s, ")
+    assert only(recording).gyro == ()
 
 
 @pytest.mark.parametrize("cut", ["1,2", "1,2,", "1,2,3e-", "1"])
