@@ -71,6 +71,7 @@ def judge(
     mounted = mountings(table, one_frame=witness is None or witness.one_frame)
     table = turned_back(table, mounted.found)
     gyros = heard = table.gyros
+    derived = table.columns([k for k, channel in enumerate(table.channels) if channel.derived])
     whole = spans(gyros, np.array([0]), np.array([len(gyros.time_s)]))
     alone: list[Evidence] = []
     # In the order of their names, whatever was asked for: what is silent (dropout) or repeats
@@ -78,7 +79,8 @@ def judge(
     for name, detector in sorted(chosen, key=lambda each: each[0]):
         if detector.stage == "alone":
             progress(name)
-            found = detector.detect(Survey(table=heard, windows=whole, config=config))
+            survey = Survey(table=heard, windows=whole, config=config, derived=derived)
+            found = detector.detect(survey)
             heard = without_accused(heard, found)
             alone.extend(found)
     testified = table if heard is gyros else with_derived(heard, table)

@@ -16,7 +16,7 @@ from fdilog.config import Config
 from fdilog.finding import Evidence, Kind
 from fdilog.maths.geometry import leave_one_out
 from fdilog.registry import Stage
-from fdilog.table import ChannelTable
+from fdilog.table import PARALLEL, ChannelTable
 from fdilog.windows.survey import Survey, spans, stretches
 
 # One false run in a million flights of any length.
@@ -52,6 +52,12 @@ FEWEST_MOVING = 2
 MOST_GLITCHES = 5
 # What moves by fewer steps than this may rest within one step of a coarser gyro.
 MOVING_STEPS = 4.0
+# An attitude shows a turn in its means over so long, if half of them in a run of so many differ by
+# it: what converges or is set anew at rest moves for less of the time.
+TURN_S = 1.0
+FEWEST_TURNING = 8
+# The gyros of a device that hang together begin and end to repeat at the same reading, or the next.
+TOGETHER = 1
 
 
 def runs_of_equal(
@@ -112,23 +118,27 @@ class FlatlineDetector:
         found: dict[Kind, list[tuple[int, int, int]]] = {"dead": [], "saturated": [], "stuck": []}
         parts = stretches(table, survey.config)
         least_motion = float(np.radians(survey.config.tolerance.bias_deg_s))
+        runs = [
+            _impossible_runs(survey, channel, parts, least_motion)
+            for channel in range(len(table.channels))
+        ]
         for channel in range(len(table.channels)):
             ends = _ends_of_range(table, channel, survey.config)
             readings = table.rate_rad_s[table.valid[:, channel], channel]
             extent = (float(readings.min(initial=0.0)), float(readings.max(initial=0.0)))
             for start, stop in _runs_at(table, channel, ends, parts):
                 found["saturated"].append((start, stop, channel))
-            for run in _impossible_runs(table, channel, parts, least_motion):
-                if run[2] not in ends:
+            for run in runs[channel]:
+                if run.value not in ends and (run.shown or _hangs(run, channel, table, runs)):
                     kind = _kind(table, channel, run, extent, survey.config)
-                    found[kind].append((*run[:2], channel))
+                    found[kind].append((run.start, run.stop, channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
 
 
 def _kind(
     table: ChannelTable,
     channel: int,
-    run: tuple[int, int, float],
+    run: _Run,
     extent: tuple[float, float],
     config: Config,
 ) -> Kind:
@@ -139,10 +149,10 @@ def _kind(
     extent
         The lowest and the highest reading of the channel, or zero. [rad/s]
     """
-    start, stop, value = run
+    value = run.value
     if value == 0.0:
         return "dead"
-    rows = start + np.flatnonzero(table.valid[start:stop, channel])
+    rows = run.start + np.flatnonzero(table.valid[run.start : run.stop, channel])
     at_an_end = value in extent and (
         (_is_full_scale(value) and abs(value) >= max(-extent[0], extent[1]))
         or _most(_others_read_further(table, channel, rows, value, config), ALL_OF_A_RUN) > 0.0
@@ -230,10 +240,47 @@ def _runs_at(
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """A value repeated for longer than quantisation explains.
+
+    Parameters
+    ----------
+    start, stop
+        First sample, one past the last.
+    value
+        [rad/s]
+    shown
+        Whether it accuses the channel: the vehicle moved meanwhile, or no gyro rests like that.
+    """
+
+    start: int
+    stop: int
+    value: float
+    shown: bool
+
+
+def _hangs(run: _Run, channel: int, table: ChannelTable, runs: Sequence[Sequence[_Run]]) -> bool:
+    """Whether another gyro of the device repeats itself over just these readings, and is accused.
+
+    A device that hangs stops all three; not all of them need have turned meanwhile.
+    """
+    source = table.channels[channel].source
+    return any(
+        other.shown
+        and abs(other.start - run.start) <= TOGETHER
+        and abs(other.stop - run.stop) <= TOGETHER
+        for k, beside in enumerate(runs)
+        if table.channels[k].source == source
+        for other in beside
+    )
+
+
 def _impossible_runs(
-    table: ChannelTable, channel: int, parts: list[tuple[int, int]], least_motion: float
-) -> list[tuple[int, int, float]]:
-    """List the runs of one channel (first sample, one past the last, value) that accuse it."""
+    survey: Survey, channel: int, parts: list[tuple[int, int]], least_motion: float
+) -> list[_Run]:
+    """List the runs of one channel that its quantisation does not explain."""
+    table = survey.table
     rows = np.flatnonzero(table.valid[:, channel])
     values = table.rate_rad_s[rows, channel]
     if len(values) < FEWEST_REPEATS:
@@ -245,16 +292,20 @@ def _impossible_runs(
     limit = FEWEST_REPEATS if never_moved else longest_ordinary_run(lengths)
     period_s = 1.0 / table.channels[channel].rate_hz if table.channels[channel].rate_hz else 0.0
     long = (lengths >= max(limit, FEWEST_REPEATS)) & (lengths * period_s >= SHORTEST_RUN_S)
-    return [
-        (int(rows[a]), int(rows[b - 1]) + 1, float(values[a]))
-        for a, b in zip(start[long], stop[long], strict=True)
-        if _others_move(table, channel, int(rows[a]), int(rows[b - 1]) + 1, least_motion)
-        or (
-            b - a >= LONGEST_STILL
-            and (b - a) * period_s >= LONGEST_STILL_S
-            and (never_moved or (values[a] == 0.0 and _is_fine(table, channel, values)))
+    found = []
+    for a, b in zip(start[long].tolist(), stop[long].tolist(), strict=True):
+        first, last, value = int(rows[a]), int(rows[b - 1]) + 1, float(values[a])
+        shown = (
+            _others_move(table, channel, first, last, least_motion)
+            or _attitude_turns(survey, channel, (first, last), least_motion)
+            or (
+                b - a >= LONGEST_STILL
+                and (b - a) * period_s >= LONGEST_STILL_S
+                and (never_moved or (value == 0.0 and _is_fine(table, channel, values)))
+            )
         )
-    ]
+        found.append(_Run(start=first, stop=last, value=value, shown=shown))
+    return found
 
 
 def _is_fine(table: ChannelTable, channel: int, values: NDArray[np.float64]) -> bool:
@@ -288,6 +339,30 @@ def _others_move(
     axis[channel] = True
     others = np.flatnonzero(~axis).tolist()
     return not others or any(moves(k) for k in others)
+
+
+def _attitude_turns(
+    survey: Survey, channel: int, span: tuple[int, int], least_motion: float
+) -> bool:
+    """Whether the attitude turned about the axis of a channel that no other gyro senses along.
+
+    The other gyros of its device do not tell, if that hangs.
+    """
+    table, derived = survey.table, survey.derived
+    if derived is None or table.along(channel).any():
+        return False
+    threshold = max(MOVING_STEPS * table.channels[channel].step_rad_s, least_motion)
+    cell = max(1, round(TURN_S / table.period_s)) if table.period_s else 1
+    within = slice(*span)
+    for k in np.flatnonzero(np.abs(derived.axes @ table.axes[channel]) > PARALLEL):
+        rate = derived.rate_rad_s[within, k][derived.valid[within, k]]
+        cells = len(rate) // cell
+        if cells >= FEWEST_TURNING:
+            means = rate[: cells * cell].reshape(cells, cell).mean(axis=1)
+            low, high = np.quantile(means, [0.25, 0.75])
+            if high - low > threshold:
+                return True
+    return False
 
 
 def _range(table: ChannelTable, channel: int, start: int, stop: int) -> float:

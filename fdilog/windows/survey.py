@@ -150,12 +150,16 @@ class Survey:
     ----------
     signals
         What else of the log the configuration names, by name; for detectors of the stage `model`.
+    derived
+        The rates of the attitude at the instants of the table, for detectors of the stage `alone`:
+        none of these is a gyro, but they show whether the vehicle turned.
     """
 
     table: ChannelTable
     windows: Windows
     config: Config
     signals: Mapping[str, Signal] = field(default_factory=dict)
+    derived: ChannelTable | None = None
 
     @cached_property
     def moments(self) -> tuple[Moments, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -178,3 +179,41 @@ def test_what_a_gyro_did_in_a_hole_is_not_counted_as_saturated() -> None:
     assert finding.kind == "saturated"
     held_s = float(finding.detail.rpartition("; ")[2].partition(", ")[2].split(" s in all")[0])
     assert held_s < 2.0 < float(table.time_s[last] - table.time_s[first])
+
+
+def hung(seed: int, *, value: float, turning: bool = True) -> ChannelTable:
+    """One device beside an attitude, whose gyros repeat what they read, or zero, for 20 s.
+
+    About the x axis alone the vehicle turns by more than a tolerance for a second or more.
+    """
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 90.0, 0.02)
+    motion = np.zeros((len(time_s), 3))
+    if turning:
+        motion[:, 0] = 12.0 * DEG * np.sin(0.9 * time_s)
+    gyros = motion + rng.normal(0.0, 0.2 * DEG, motion.shape)
+    hangs = (time_s >= 30.0) & (time_s < 50.0)
+    gyros[hangs] = value * gyros[hangs][0]
+    attitude = motion + rng.normal(0.0, 0.02 * DEG, motion.shape)
+    one = table_of(time_s, gyros)
+    derived = tuple(
+        replace(channel, name=f"att.{channel.name[-1]}", source="att", derived=True)
+        for channel in one.channels
+    )
+    return one.beside(attitude, np.ones(attitude.shape, bool), derived)
+
+
+@pytest.mark.parametrize(("value", "kind"), [(0.0, "dead"), (1.0, "stuck")])
+def test_a_device_whose_three_gyros_hang_together_is_shown_by_the_attitude(
+    value: float, kind: str
+) -> None:
+    found = judge(hung(1, value=value), CONFIG).findings
+    assert [(one.kind, one.suspects) for one in found] == [
+        (kind, (f"imu0.{axis}",)) for axis in "xyz"
+    ]
+    for one in found:
+        assert (one.start_s, one.end_s) == pytest.approx((30.0, 49.98), abs=0.03)
+
+
+def test_what_repeats_while_nothing_is_known_to_turn_is_no_fault() -> None:
+    assert judge(hung(2, value=1.0, turning=False), CONFIG).findings == ()
