@@ -67,8 +67,9 @@ def calibrate(
     """Take out what is in proportion to the rate, block by block, and say what it was.
 
     The regression is Tukey's, on means over one second, so that faults and manoeuvres of a part of
-    the flight do not decide it; a normal prior of ``noise.scale_sigma`` on every coefficient keeps
-    a flight with little rotation from inventing any.
+    the flight do not decide it, each weighed by how noisy that second was; a normal prior of
+    ``noise.scale_sigma`` on every coefficient keeps a flight with little rotation from inventing
+    any.
 
     Parameters
     ----------
@@ -90,6 +91,7 @@ def calibrate(
         fitted, told = _robust_fit(
             means[known][:, columns] @ parity.T,
             rates[known],
+            _loudness(learnt, columns, parity)[known],
             config.noise.scale_sigma,
         )
         vague |= ~told
@@ -106,11 +108,10 @@ def calibrate(
 
 def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
     """Mean readings over stretches of one second, (n, n_channels), and mean body rates, (n, 3)."""
-    which = np.floor(table.time_s / STRETCH_S).astype(np.int64)
-    start = np.flatnonzero(np.concatenate([[True], np.diff(which) > 0])) if len(which) else which
+    start = _starts(table)
     filled = np.where(table.valid, table.rate_rad_s, 0.0)
     count = np.add.reduceat(table.valid.astype(float), start, axis=0)
-    length = np.diff(np.append(start, len(which)))[:, None]
+    length = np.diff(np.append(start, len(filled)))[:, None]
     share = count / length
     # A slower source is there at some of the samples only, and so is one whose stamps jitter.
     usual = np.array([np.median(own[own > 0.0]) if own.any() else 0.0 for own in share.T])
@@ -119,6 +120,33 @@ def _stretch_means(table: ChannelTable) -> tuple[Floats, Floats]:
         means = np.where(full, np.add.reduceat(filled, start, axis=0) / count, np.nan)
     rates, told = _least_squares(means, np.isfinite(means), table.axes)
     return means, np.where(told[:, None], rates, np.nan)
+
+
+def _loudness(table: ChannelTable, columns: list[int], parity: Floats) -> Floats:
+    """How many times their usual variance the parity vectors have in every stretch, (n, q).
+
+    One at least. It is that of each from the mean of the two beside it, in which no motion shows.
+    """
+    start = _starts(table)
+    rows = np.flatnonzero(table.valid[:, columns].all(axis=1))
+    if len(rows) < 3:
+        return np.ones((len(start), len(parity)))
+    vectors = table.rate_rad_s[:, columns][rows] @ parity.T
+    apart = np.square(vectors[1:-1] - (vectors[:-2] + vectors[2:]) / 2.0)
+    sums = np.concatenate([np.zeros((1, len(parity))), np.cumsum(apart, axis=0)])
+    edges = np.searchsorted(rows[1:-1], np.append(start, len(table.time_s)))
+    count = np.diff(edges)[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = np.diff(sums[edges], axis=0) / count
+    usual = np.nanmedian(variance, axis=0) if count.any() else np.zeros(len(parity))
+    known = (count > 0) & (usual > 0.0)
+    return np.maximum(np.where(known, variance / np.where(usual > 0.0, usual, 1.0), 1.0), 1.0)
+
+
+def _starts(table: ChannelTable) -> NDArray[np.int64]:
+    """Return the first sample of every stretch of a second."""
+    which = np.floor(table.time_s / STRETCH_S).astype(np.int64)
+    return np.flatnonzero(np.concatenate([[True], np.diff(which) > 0])) if len(which) else which
 
 
 def _least_squares(
@@ -136,7 +164,9 @@ def _least_squares(
     return rates, told
 
 
-def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, NDArray[np.bool_]]:
+def _robust_fit(
+    parity: Floats, rates: Floats, loudness: Floats, sigma: float
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Robust regression of parity vectors on body rates, with a prior on the slopes.
 
     Parameters
@@ -145,6 +175,8 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, ND
         Parity vectors p. [rad/s]
     rates : (n, 3)
         Body rates w. [rad/s]
+    loudness : (n, q)
+        How many times their usual variance they have, one at least. [1]
     sigma
         Standard deviation of a slope expected beforehand. [1]
 
@@ -170,8 +202,10 @@ def _robust_fit(parity: Floats, rates: Floats, sigma: float) -> tuple[Floats, ND
             residual = target - design @ level
             noise = max(float(robust_sigma(residual)), 1e-12)
             # What a healthy slope could explain at that rate is no outlier.
-            spread = np.hypot(noise, sigma * np.linalg.norm(rates, axis=1))
+            loud = noise * np.sqrt(loudness[:, k])
+            spread = np.hypot(loud, sigma * np.linalg.norm(rates, axis=1))
             weight = np.maximum(1.0 - (residual / (TUKEY * spread)) ** 2, 0.0) ** 2
+            weight /= loudness[:, k]
             ridge = np.diag([1e-12, *[(noise / max(sigma, 1e-9)) ** 2] * 3])
             normal = design.T @ (weight[:, None] * design) + ridge
             # Rates that never change cannot be told from the constant.
