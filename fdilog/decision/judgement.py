@@ -28,6 +28,7 @@ from fdilog.sources.mounting import mounting_findings, mountings, turned_back
 from fdilog.sources.witness import Witness
 from fdilog.table import ChannelTable
 from fdilog.windows.calibration import Calibration, with_notes
+from fdilog.windows.loudness import loudness_notes
 from fdilog.windows.survey import Survey, spans
 
 
@@ -88,7 +89,7 @@ def judge(
         heard = testified.columns(compared_channels(testified))
     sound, calibration, compared = windowed(heard, chosen, config, progress)
     notes = {one.source: one.note for one in multiplied} | mounted.notes()
-    calibration = with_notes(calibration, notes)
+    calibration = with_notes(with_notes(calibration, notes), loudness_notes(sound.gyros, config))
     sampled: list[Evidence] = []
     each = np.arange(len(sound.time_s))
     for name, detector in chosen:

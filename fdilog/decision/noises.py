@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,26 +53,31 @@ def noise_findings(
         What else is wrong: noise that a scale error or a gyro's many impulses explain is none.
     """
     said = [accusation for item in evidence for accusation in accusations(item)]
-    findings = []
+    spells = []
     for cluster in clusters(table.time_s, said):
         sizes = {
             k: _ratio(evidence, k, cluster.start, cluster.stop) for k in sorted(cluster.suspects)
         }
         channel = max(sizes, key=lambda k: sizes[k].estimate)
-        peers = noise_peers(table, channel)
         at_each = [
             _span_of_noise(paced, every, cluster, channel, sizes[channel].estimate)
             for every, paced in paces(table)
         ]
         _, start, stop = max(at_each, key=lambda one: one[0])
+        detectors = frozenset(member.detector for member in cluster.members)
+        spells.append(_Spell(cluster.suspects, channel, start, stop, detectors))
+    findings = []
+    for spell in _joined(table, spells):
+        channel = spell.channel
+        peers = noise_peers(table, channel)
         found = Finding(
             kind="noise",
-            suspects=tuple(table.names[k] for k in sorted(cluster.suspects)),
-            start_s=float(table.time_s[start]),
-            end_s=float(table.time_s[stop - 1]),
-            size=_ratio(evidence, channel, start, stop),
-            detectors=tuple(sorted({member.detector for member in cluster.members})),
-            detail=_NOISY if len(cluster.suspects) == 1 else f"{table.names[channel]} {_LOUDER}",
+            suspects=tuple(table.names[k] for k in sorted(spell.suspects)),
+            start_s=float(table.time_s[spell.start]),
+            end_s=float(table.time_s[spell.stop - 1]),
+            size=_ratio(evidence, channel, spell.start, spell.stop),
+            detectors=tuple(sorted(spell.detectors)),
+            detail=_NOISY if len(spell.suspects) == 1 else f"{table.names[channel]} {_LOUDER}",
         )
         compared = {channel, *(peers if len(peers) == 1 else ())}
         names = {table.names[k] for k in compared}
@@ -79,6 +85,33 @@ def noise_findings(
         if not any(_explains(one, found, table.duration_s) for one in others):
             findings.append(found)
     return findings
+
+
+class _Spell(NamedTuple):
+    """Rows over which one of some suspects is noisy."""
+
+    suspects: frozenset[int]
+    channel: int
+    start: int
+    stop: int
+    detectors: frozenset[str]
+
+
+def _joined(table: ChannelTable, spells: Sequence[_Spell]) -> list[_Spell]:
+    """Join spells of the same noise, which windows that accuse apart have found to be one."""
+    joined: list[_Spell] = []
+    for spell in sorted(spells, key=lambda one: (sorted(one.suspects), one.start)):
+        before = joined[-1] if joined else None
+        if (
+            before is not None
+            and before.suspects == spell.suspects
+            and table.time_s[spell.start] <= table.time_s[before.stop - 1] + EDGE_S
+        ):
+            stop = max(before.stop, spell.stop)
+            joined[-1] = before._replace(stop=stop, detectors=before.detectors | spell.detectors)
+        else:
+            joined.append(spell)
+    return joined
 
 
 def without_swings(biased: Sequence[Finding], noise: Sequence[Finding]) -> list[Finding]:

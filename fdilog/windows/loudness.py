@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fdilog.config import Config
 from fdilog.maths.noise import NORMAL_CONSISTENCY
 from fdilog.table import ChannelTable
 from fdilog.windows.prediction import DEVIATION_GAIN, deviations_as_logged, own_noise
@@ -264,3 +265,47 @@ def usual_noise(table: ChannelTable, channel: int) -> UsualNoise:
     rows = shown_rows(deviation, columns)
     rounding = rounding_noise(table)[columns]
     return UsualNoise.of(deviation[rows][:, columns], own[rows, channel], rounding)
+
+
+def loudness_notes(table: ChannelTable, config: Config) -> dict[str, str]:
+    """Say of each source that is usually much louder, or quieter, than the reference source.
+
+    It is mounted harder or softer, filtered otherwise, or worse. Which of these, and whether that
+    is a failure, is not told by gyros that are compared with one another.
+
+    Parameters
+    ----------
+    table
+        Of gyros.
+
+    Returns
+    -------
+    notes
+        By source. None of the reference source, which is the first.
+    """
+    deviation, _ = shown_noise(table)
+    sources = list(dict.fromkeys(channel.source for channel in table.channels))
+    of = {s: [k for k, one in enumerate(table.channels) if one.source == s] for s in sources}
+    reference = of[sources[0]] if sources else []
+    notes = {}
+    for source in sources[1:]:
+        axes = (table.axes[reference], table.axes[of[source]])
+        if len(reference) != 3 or axes[0].shape != axes[1].shape or not np.allclose(*axes):
+            continue
+        columns = [*reference, *of[source]]
+        rows = shown_rows(deviation, columns)
+        n = len(rows) // FEWEST_SAMPLES
+        pieces = np.abs(deviation[rows[: n * FEWEST_SAMPLES]][:, columns])
+        sigma = capped_sigma(np.moveaxis(pieces.reshape(n, FEWEST_SAMPLES, 6), 1, 2))
+        loud = (sigma > 0.0).all(axis=1) & (sigma > np.radians(config.tolerance.bias_deg_s)).any(
+            axis=1
+        )
+        if not loud.any():
+            continue
+        ratio = np.sort(np.median(sigma[loud, 3:] / sigma[loud, :3], axis=0))
+        if max(ratio[1], 1.0 / ratio[1]) > config.tolerance.noise_factor:
+            notes[source] = (
+                f"{ratio[0]:.2g} to {ratio[2]:.2g} times as noisy as {sources[0]} in vibration, "
+                "by its mount, its filter or its make: which, the gyros cannot tell"
+            )
+    return notes

@@ -152,6 +152,23 @@ def test_of_two_gyros_that_always_differ_in_noise_either_may_be_the_one(smooth: 
     assert finding.detail.startswith("imu1.y is noisy, or")
 
 
+@pytest.mark.parametrize("n_triads", [2, 3])
+def test_a_device_that_shakes_more_on_all_axes_is_mounted_so(n_triads: int) -> None:
+    table = shaken(n_triads)
+    rate = table.rate_rad_s.copy()
+    louder = np.array([60.0, 80.0, 100.0]) * DEG
+    rate[:, 3:6] += np.random.default_rng(3).normal(0.0, louder, (len(rate), 3))
+    judged = judge(table_of(table.time_s, rate), CONFIG)
+    assert judged.findings == ()
+    assert "times as noisy as imu0" in str(judged.calibration[0].note)
+    # One of its gyros that is noisier than that is noisy all the same.
+    rate = rate.copy()
+    rate[:, 4] += np.random.default_rng(4).normal(0.0, 400.0 * DEG, len(rate))
+    (finding,) = judge(table_of(table.time_s, rate), CONFIG).findings
+    assert finding.kind == "noise"
+    assert finding.suspects == (("imu1.y",) if n_triads == 3 else ("imu0.y", "imu1.y"))
+
+
 def test_vibration_that_swells_for_all_is_nobodys_noise() -> None:
     table = shaken(3)
     rate = table.rate_rad_s.copy()
