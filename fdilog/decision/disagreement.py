@@ -60,6 +60,11 @@ CHANGING_S = 5.0
 """What is off by about the same for so long is off by a bias, and beyond tolerance for at most half
 of that where it jumps."""
 
+MOST_CELLS = 0.95
+STANDING_OUT = 2.0
+"""A bias that is surely twice what nearly all half seconds of a disagreement stay below is no swing
+of it, and a finding of its own."""
+
 SHORTEST_S = 1e-9
 """No clock of a log tells less apart."""
 
@@ -105,8 +110,14 @@ def with_disagreement(
             seen_in = found.detail.removesuffix(UNEXPLAINED)
             detail = f"{explained.detail}; {seen_in}"
             kept.append(replace(explained, detectors=(DETECTOR,), detail=detail))
-        else:
-            kept.append(_changing_bias(table, logged, whole, (parts, kept), config) or whole)
+            continue
+        changing = _changing_bias(table, logged, whole, (parts, kept), config)
+        if changing is not None:
+            kept.append(changing)
+            continue
+        apart = [one for one in parts if _stands_out(table, one, found, kept)]
+        kept.append(found if apart else whole)
+        kept += apart
     return kept
 
 
@@ -190,9 +201,12 @@ def _changing_bias(
     width = round(CHANGING_S / table.period_s) if table.period_s else 0
     if not np.isfinite(row).all() or len(rows) < 2 * max(width, 1):
         return None
-    error = table.rate_rad_s[np.ix_(rows, needed)] @ row[needed]
-    around = np.pad(error, width // 2, mode="edge")
-    slow = moving_mean(around, width)[width // 2 :][: len(rows)]
+
+    def slowly(of: ChannelTable) -> Floats:
+        around = np.pad(of.rate_rad_s[np.ix_(rows, needed)] @ row[needed], width // 2, mode="edge")
+        return moving_mean(around, width)[width // 2 :][: len(rows)]
+
+    slow = slowly(table)
     rate = table.rate_rad_s.copy()
     rate[rows, suspects[0]] -= slow
     left = disagreements(replace(table, rate_rad_s=rate), others, config)
@@ -208,6 +222,7 @@ def _changing_bias(
         return None
     if max(size.low, -size.high) <= np.radians(tolerance):
         return None
+    low, high = np.degrees([f(slowly(logged)) for f in (np.min, np.max)])
     longest = max(parts, key=lambda one: one.end_s - one.start_s)
     return replace(
         bias,
@@ -237,6 +252,26 @@ def _contains(found: Finding, other: Finding) -> bool:
         return shorter and gap_s < SWING_S
     # Where a disagreement begins and ends is known to a cell.
     return other.kind in SHAPES and gap_s < CELL_S
+
+
+def _stands_out(
+    table: ChannelTable, bias: Finding, found: Finding, known: Sequence[Finding]
+) -> bool:
+    """Whether a bias is far above what the gyros disagree by, and so no part of that."""
+    if bias.kind != "bias" or bias.size is None:
+        return False
+    explained, doubtful = _without_known(table, [*known, bias])
+    channel = table.names.index(bias.suspects[0])
+    columns = next(list(block) for block in blocks(table.axes) if channel in block)
+    cells = _cells(explained, columns, doubtful)
+    if cells is None:
+        return False
+    error, _ = cells.errors(np.nan_to_num(leave_one_out(table.axes[columns])))
+    within = (cells.end_s > found.start_s) & (cells.start_s < found.end_s)
+    if not within.any():
+        return False
+    usual = float(np.quantile(np.abs(error[within, columns.index(channel)]), MOST_CELLS))
+    return max(bias.size.low, -bias.size.high) > STANDING_OUT * usual
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

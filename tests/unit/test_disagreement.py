@@ -120,6 +120,19 @@ def test_what_swings_to_both_sides_is_no_bias_of_any_one_size() -> None:
     assert kinds(found) == [("disagreement", ("imu1.x",))]
 
 
+def test_a_bias_far_above_what_a_gyro_disagrees_by_is_a_finding_beside_it() -> None:
+    def wrong(rate: Floats, time_s: Floats) -> Floats:
+        failed = np.where((time_s > 35.0) & (time_s < 45.0), np.radians(60.0), 0.0)
+        return WRONG["an oscillation"](rate, time_s) + failed
+
+    swings, failed = analyse_recording(with_wrong(flight(), wrong), OWN_FINDINGS).findings
+    assert (swings.kind, swings.suspects) == ("disagreement", ("imu1.x",))
+    assert (failed.kind, failed.suspects) == ("bias", ("imu1.x",))
+    assert failed.size is not None
+    assert failed.size.estimate == pytest.approx(np.radians(60.0), rel=0.15)
+    assert (failed.start_s, failed.end_s) == pytest.approx((35.0, 45.0), abs=0.3)
+
+
 def test_the_attitude_tells_of_a_bias_that_changes_whose_it_is() -> None:
     recording = simulate(80.0, 25.0, sources=2, seed=1).recording()
     changing = with_wrong(recording, CHANGING["a drift that ends"])
