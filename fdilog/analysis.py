@@ -224,7 +224,7 @@ def analyse_recording(
     part = part or Part()
     assembly = assemble(recording, config)
     table = _part_of(assembly, recording, part)
-    judged = judge(table, config, progress, assembly.witness)
+    judged = judge(table, config, progress, assembly.witness, assembly.shocks)
     judged, notes = _held_against_model(
         judged, recording, table, config, zero_ns=assembly.zero_ns, progress=progress
     )

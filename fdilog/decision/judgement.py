@@ -25,6 +25,7 @@ from fdilog.maths.geometry import blocks, detectable
 from fdilog.registry import detectors, plugins
 from fdilog.sources.gains import gain_findings, gains, rescaled
 from fdilog.sources.mounting import mounting_findings, mountings, turned_back
+from fdilog.sources.shocks import Shocks
 from fdilog.sources.witness import Witness
 from fdilog.table import ChannelTable
 from fdilog.windows.calibration import Calibration, with_notes
@@ -54,6 +55,7 @@ def judge(
     config: Config,
     progress: Callable[[str], None] = lambda _: None,
     witness: Witness | None = None,
+    shocks: Shocks | None = None,
 ) -> Judgement:
     """Run the detectors on a table and decide.
 
@@ -80,7 +82,9 @@ def judge(
     for name, detector in sorted(chosen, key=lambda each: each[0]):
         if detector.stage == "alone":
             progress(name)
-            survey = Survey(table=heard, windows=whole, config=config, derived=derived)
+            survey = Survey(
+                table=heard, windows=whole, config=config, derived=derived, shocks=shocks
+            )
             found = detector.detect(survey)
             heard = without_accused(heard, found)
             alone.extend(found)

@@ -128,10 +128,17 @@ class FlatlineDetector:
             extent = (float(readings.min(initial=0.0)), float(readings.max(initial=0.0)))
             for start, stop in _runs_at(table, channel, ends, parts):
                 found["saturated"].append((start, stop, channel))
-            for run in runs[channel]:
-                if run.value not in ends and (run.shown or _hangs(run, channel, table, runs)):
-                    kind = _kind(table, channel, run, extent, survey.config)
-                    found[kind].append((run.start, run.stop, channel))
+            flat = [
+                (run, _kind(table, channel, run, extent, survey.config))
+                for run in runs[channel]
+                if run.value not in ends and (run.shown or _hangs(run, channel, table, runs))
+            ]
+            # What is once told to be the end of a range is so on either side, and all along.
+            limits = {abs(end) for end in ends}
+            limits |= {abs(run.value) for run, kind in flat if kind == "saturated"}
+            for run, kind in flat:
+                named: Kind = "saturated" if abs(run.value) in limits else kind
+                found[named].append((run.start, run.stop, channel))
         return [_evidence(kind, table, runs) for kind, runs in found.items() if runs]
 
 

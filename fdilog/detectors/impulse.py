@@ -2,7 +2,8 @@
 
 A channel accuses itself here. What was to be expected follows from its neighbours and from the
 other gyros of its axis (`fdilog.windows.prediction`). A shock of the airframe is felt along every
-axis and by every source, a character lost on a serial line by one channel alone. A few readings in
+axis and by every source, accelerometers among them; a character lost on a serial line by one
+channel alone. A few readings in
 a row stand off from those before and after (`fdilog.windows.bursts`), while the others go on.
 """
 
@@ -79,6 +80,7 @@ class ImpulseDetector:
             for axis in (_Axis.of(table, deviation, np.array(channels)),)
             for place in range(len(channels))
             for impulse in _impulses(table, axis, place, config)
+            if not _is_shock(survey, impulse)
         ]
         rest = _without(table, found) if found else table
         confidence = config.windows.confidence
@@ -88,6 +90,18 @@ class ImpulseDetector:
         if not found:
             return []
         return [_evidence(table, found, limit, levels, confidence)]
+
+
+def _is_shock(survey: Survey, impulse: Moment) -> bool:
+    """Tell whether the accelerometer of its own device confirms an impulse.
+
+    Gyros of other devices, read some milliseconds apart through other filters, may show nothing of
+    a blow. A character lost on a line is lost from one number.
+    """
+    if survey.shocks is None:
+        return False
+    source = survey.table.channels[impulse.channel].source
+    return survey.shocks.felt(source, float(survey.table.time_s[impulse.start]))
 
 
 def _group(table: ChannelTable, channel: int) -> list[int]:

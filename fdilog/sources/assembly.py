@@ -25,6 +25,7 @@ from fdilog.sources.gyros import (
 )
 from fdilog.sources.losses import losses, stamp_problems
 from fdilog.sources.offsets import ClockOffset, estimate_offset
+from fdilog.sources.shocks import Shocks
 from fdilog.sources.witness import SOURCE as WITNESS
 from fdilog.sources.witness import Witness, attitude_stream, find_witness
 from fdilog.table import Channel, ChannelTable, side_by_side
@@ -43,6 +44,8 @@ class Assembly:
         The table's time 0 on the recording's clock. [ns]
     clocks
         Time offsets between the sources, as estimated.
+    shocks
+        What the accelerometers of the sources feel.
     """
 
     table: ChannelTable
@@ -51,6 +54,7 @@ class Assembly:
     zero_ns: int
     clocks: tuple[ClockOffset, ...]
     witness: Witness | None = None
+    shocks: Shocks | None = None
 
 
 def channel_table(recording: Recording, config: Config | None = None) -> ChannelTable:
@@ -83,6 +87,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     ]
     gyros, infos = without_duplicates(gyros, infos)
     axes = _axes(gyros, config)
+    stamped = gyros
     gyros, clocks = _aligned(gyros, axes, config)
     base = time_base([gyro.time_ns for gyro in gyros], config.tolerance.dropout_s)
     zero_ns = int(base.time_ns[0])
@@ -100,6 +105,10 @@ def assemble(recording: Recording, config: Config) -> Assembly:
     table, infos, witness = _witnessed(recording, table, infos, zero_ns, config)
     if witness is not None and witness.clock is not None:
         clocks = (*clocks, witness.clock)
+    late_ns = [
+        int(before.time_ns[0] - after.time_ns[0])
+        for before, after in zip(stamped, gyros, strict=True)
+    ]
     return Assembly(
         table=table,
         sources=tuple(infos),
@@ -107,6 +116,7 @@ def assemble(recording: Recording, config: Config) -> Assembly:
         zero_ns=zero_ns,
         clocks=clocks,
         witness=witness,
+        shocks=Shocks.of(recording, gyros, late_ns, zero_ns),
     )
 
 

@@ -14,6 +14,7 @@ from fdilog.config import Config
 from fdilog.finding import Windows
 from fdilog.maths.noise import WindowedMean, windowed_mean
 from fdilog.sources.clocks import hole_threshold_s
+from fdilog.sources.shocks import Shocks
 from fdilog.sources.signals import Signal
 from fdilog.table import ChannelTable
 
@@ -153,6 +154,8 @@ class Survey:
     derived
         The rates of the attitude at the instants of the table, for detectors of the stage `alone`:
         none of these is a gyro, but they show whether the vehicle turned.
+    shocks
+        What the accelerometers of the sources feel, for the same.
     """
 
     table: ChannelTable
@@ -160,6 +163,7 @@ class Survey:
     config: Config
     signals: Mapping[str, Signal] = field(default_factory=dict)
     derived: ChannelTable | None = None
+    shocks: Shocks | None = None
 
     @cached_property
     def moments(self) -> tuple[Moments, ...]:

@@ -217,3 +217,19 @@ def test_a_device_whose_three_gyros_hang_together_is_shown_by_the_attitude(
 
 def test_what_repeats_while_nothing_is_known_to_turn_is_no_fault() -> None:
     assert judge(hung(2, value=1.0, turning=False), CONFIG).findings == ()
+
+
+def test_a_value_that_is_once_the_end_of_a_range_is_so_on_either_side_all_along() -> None:
+    time_s = np.arange(0.0, 80.0, 0.02)
+    rng = np.random.default_rng(6)
+    turn = 10.0 * np.sin(0.3 * time_s)
+    for at_s, most in ((20.0, 70.0), (50.0, -41.6)):
+        bump = np.exp(-(((time_s - at_s) / 1.5) ** 4))
+        turn = (1.0 - bump) * turn + bump * most
+    motion = np.column_stack([turn, 8.0 * np.sin(0.5 * time_s), 6.0 * np.cos(0.4 * time_s)])
+    rate = np.tile(motion, (1, 3)) + rng.normal(0.0, 0.15, (len(time_s), 9))
+    rate[:, 3] = np.clip(rate[:, 3], -40.0, 40.0)
+    (finding,) = judge(table_of(time_s, rate * DEG), CONFIG).findings
+    assert (finding.kind, finding.suspects) == ("saturated", ("imu1.x",))
+    assert finding.detail.startswith("reads its full scale")
+    assert "2 times" in finding.detail
