@@ -21,7 +21,7 @@ def log(
     path: str, vehicle: str = "ann", verdict: str | None = "healthy", **more: object
 ) -> LogEntry:
     values: dict[str, object] = {
-        "path": path, "bytes": 1000, "sha256": "0" * 64, "vehicle": vehicle,
+        "path": path, "bytes": 1000, "sha256": path.encode().hex(), "vehicle": vehicle,
         "vehicle_from": "folder", "verdict": verdict, "format": "dataflash", "duration_s": 60.0,
     }  # fmt: skip
     return LogEntry(**{**values, **more})  # type: ignore[arg-type]

@@ -19,6 +19,8 @@ PACKED = (".gz", ".zst", ".zip")
 """Suffixes before which the suffix of the format may stand."""
 UNFINISHED = (".tmp", ".temp", ".part", ".partial", ".filepart", ".crdownload", ".download")
 """Suffixes that copying programs put behind the name of a file until they are done with it."""
+RESULTS = "audit.sqlite"
+"""What an audit keeps its results in: no log, though ROS 2 bags begin like it."""
 DESCRIPTION = "metadata.yaml"
 """What makes a folder one log: the recorder of ROS 2 bags writes it when it ends."""
 
@@ -70,7 +72,8 @@ def discover(targets: Sequence[str], output: Path | None = None) -> list[Candida
     Parameters
     ----------
     output
-        A folder to keep out of: the audit's own.
+        A folder to keep out of: the audit's own. One that is searched itself is searched all the
+        same; what an audit writes is no log.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def _below(root: str, output: Path | None) -> Iterator[Candidate]:
     What lies in the folder of a bag and is no part of it is looked at like anything else.
     """
     entered: set[tuple[int, int]] = set()
-    if output is not None and output.is_dir():
+    if output is not None and output.is_dir() and not output.samefile(root):
         entered.add(_identity(output))
     waiting, links = [root], deque[str]()
     while waiting or links:
@@ -146,7 +149,7 @@ def _below(root: str, output: Path | None) -> Iterator[Candidate]:
 
 
 def _may_be_a_log(entry: os.DirEntry[str]) -> bool:
-    if is_unfinished(entry.name):
+    if is_unfinished(entry.name) or entry.name == RESULTS:
         return False
     return named_like_a_log(entry.name) or _begins_like_a_log(entry.path)
 

@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import fdilog
-from fdilog.campaign.discovery import Candidate
+from fdilog.campaign.discovery import RESULTS, Candidate
 from fdilog.campaign.identity import sensor_ids
 from fdilog.campaign.measures import Measure
 from fdilog.campaign.work import Outcome
 from fdilog.errors import FdilogError
 
-FILE = "audit.sqlite"
+FILE = RESULTS
 SCHEMA_NUMBER = 1
 APPLICATION_ID = 0x66646C67  # "fdlg": tells our files from other databases
 LOCK = ".lock"

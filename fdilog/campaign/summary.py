@@ -130,6 +130,12 @@ class Campaign:
         return {state: found[state] for state in (*VERDICTS, NOT_ANALYSED)}
 
     @property
+    def flights(self) -> tuple[LogEntry, ...]:
+        """Logs with a verdict; what a vehicle has twice, under two names, is there once."""
+        once = {(log.vehicle, log.sha256 or log.path): log for log in self.logs if log.verdict}
+        return tuple(once.values())
+
+    @property
     def drifting(self) -> tuple[Series, ...]:
         """Series that move in one direction more than chance explains, the surest first."""
         moving = [series for series in self.series if series.trend and series.trend.drifts]

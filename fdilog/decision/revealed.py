@@ -97,14 +97,20 @@ def _of_group(table: ChannelTable, evidence: Sequence[Evidence], columns: list[i
 
 def _bias(item: Evidence, columns: list[int]) -> float | None:
     """Return the error that half of the tested windows would have shown, of the worst channel."""
-    least = []
-    for k in columns:
-        rows = item.tested[:, k]
-        if rows.any():
-            half = (item.high[rows, k] - item.low[rows, k]) / 2.0
-            half = np.where(np.isfinite(half), half, np.inf)
-            shown = item.tolerance[rows, k] + half
-            if item.least is not None:
-                shown = np.maximum(shown, item.least[rows, k])
-            least.append(float(np.median(shown)))
+    least = [shown for k in columns if (shown := shown_from(item, k)) is not None]
     return max(least) if least and max(least) <= FULL_SCALE_RAD_S else None
+
+
+def shown_from(item: Evidence, column: int) -> float | None:
+    """Return the constant error that half of the tested windows would have shown of a channel.
+
+    It is infinite where these do not bound any, and None where none was tested. [rad/s]
+    """
+    rows = item.tested[:, column]
+    if not rows.any():
+        return None
+    half = (item.high[rows, column] - item.low[rows, column]) / 2.0
+    shown = item.tolerance[rows, column] + np.where(np.isfinite(half), half, np.inf)
+    if item.least is not None:
+        shown = np.maximum(shown, item.least[rows, column])
+    return float(np.median(shown))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
@@ -148,7 +148,7 @@ def _facts(campaign: Campaign) -> tuple[tuple[str, str], ...]:
     return (
         ("Logs", str(len(logs))),
         ("Vehicles", str(len(vehicles))),
-        ("Flight time", words.hours(logs)),
+        ("Flight time", words.hours(campaign.flights)),
         ("Flown", period),
     )
 
@@ -194,6 +194,7 @@ def _matrix(campaign: Campaign) -> tuple[tuple[MatrixRow, ...], list[str], str]:
     by_vehicle: dict[str, dict[str, Cell]] = defaultdict(dict)
     for cell in campaign.cells:
         by_vehicle[cell.vehicle][cell.channel] = cell
+    flights = Counter(log.vehicle for log in campaign.flights)
     origins = {log.vehicle: log.vehicle_from for log in campaign.logs if log.verdict}
     ranked = sorted(by_vehicle.items(), key=lambda item: (*_badness(item[1]), item[0]))
     shown_ones = ranked[:MOST_VEHICLES]
@@ -202,7 +203,7 @@ def _matrix(campaign: Campaign) -> tuple[tuple[MatrixRow, ...], list[str], str]:
         MatrixRow(
             vehicle=shown(vehicle),
             origin=origins.get(vehicle, ""),
-            flights=str(max(cell.flights for cell in cells.values())),
+            flights=str(flights[vehicle]),
             cells=tuple(_cell(cells.get(channel)) for channel in channels),
         )
         for vehicle, cells in shown_ones

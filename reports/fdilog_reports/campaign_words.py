@@ -272,6 +272,6 @@ def days_of(series: Series) -> list[float]:
 
 
 def hours(logs: Sequence[LogEntry]) -> str:
-    """Say how long all logs are together."""
+    """Say how long some logs are together."""
     total_h = sum(log.duration_s or 0.0 for log in logs) / 3600.0
     return f"{figure(total_h)} h" if total_h >= 1.0 else f"{figure(total_h * 60.0)} min"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from fdilog.analysis import Analysis
+from fdilog.decision.revealed import FULL_SCALE_RAD_S, shown_from
 from fdilog.finding import Evidence
 from fdilog_reports.residuals import leading
 from fdilog_reports.words import DEG_PER_RAD, figure, listed, shown
@@ -17,7 +16,8 @@ class DetectabilityRow:
     """One gyro channel: whether it is checked, told apart, and what would have shown of it.
 
     ``smallest`` holds, for each window length, the constant error that half of the windows would
-    have shown to be outside the tolerance [deg/s], or "not tested".
+    have shown to be outside the tolerance [deg/s], "none" if only one beyond full scale, or "not
+    tested".
     """
 
     name: str
@@ -60,10 +60,7 @@ def detectability(analysis: Analysis) -> Detectability:
 
 
 def _smallest(item: Evidence, column: int) -> str:
-    """Print the tolerance plus the median half-width of a channel's intervals."""
-    low, high = item.low[:, column], item.high[:, column]
-    known = item.tested[:, column] & np.isfinite(low) & np.isfinite(high)
-    if not known.any():
+    least = shown_from(item, column)
+    if least is None:
         return "not tested"
-    half_width = (high[known] - low[known]) / 2.0
-    return figure(DEG_PER_RAD * float(np.median(item.tolerance[known, column] + half_width)), 2)
+    return figure(DEG_PER_RAD * least, 2) if least <= FULL_SCALE_RAD_S else "none"

@@ -396,14 +396,17 @@ def limits(analysis: Analysis) -> list[str]:
     told = [*zip(least, everywhere, strict=True)]
     for size, length in [*told[:2], *told[2:][-1:]]:
         shown_from.setdefault(figure(DEG_PER_RAD * size, 2), longer * length)
+    flight_s = analysis.table.duration_s
     parts = [
-        f"from {size} deg/s on if it lasts {figure(length)} s"
+        f"from {size} deg/s on if it lasts"
+        f" {f'{figure(length)} s' if length < flight_s else 'all along'}"
         for size, length in shown_from.items()
     ]
-    shortest = figure(longer * max(group.shortest_s or 0.0 for group in bounded))
+    shortest_s = longer * max(group.shortest_s or 0.0 for group in bounded)
+    shortest = f"{figure(shortest_s)} s" if shortest_s < flight_s else "the whole of it"
     rate = figure(min(group.rate_hz for group in bounded))
     shows = f"a constant error shows {', or '.join(parts)}; " if parts else ""
-    return [f"Logged at {rate} Hz, {shows}what lasts less than {shortest} s can pass unseen."]
+    return [f"Logged at {rate} Hz, {shows}what lasts less than {shortest} can pass unseen."]
 
 
 def is_slow(analysis: Analysis) -> bool:

@@ -160,11 +160,7 @@ def _verdict(analysis: Analysis) -> Verdict:
         notes.append(
             f"The log is not whole: {_loss(lost)}. What happened in the missing part is not known."
         )
-    unseen = [
-        shown(channel.name)
-        for channel, status in zip(analysis.table.channels, analysis.status, strict=True)
-        if status == "insufficient" and not channel.derived
-    ]
+    unseen = _never_compared(analysis)
     if unseen and analysis.verdict != "insufficient":
         notes.append(f"Never compared with anything: {listed(unseen)}.")
     return Verdict(
@@ -221,12 +217,21 @@ def _missing(analysis: Analysis) -> str:
     """Say in a few words what is not in the log or was not compared."""
     lost = analysis.completeness
     parts = [] if lost.whole else [_loss(lost)]
-    gyros = [c.name for c in analysis.table.channels if not c.derived]
-    status = dict(zip(analysis.table.names, analysis.status, strict=True))
-    unseen = [shown(name) for name in gyros if status[name] == "insufficient"]
+    gyros = sum(not channel.derived for channel in analysis.table.channels)
+    unseen = _never_compared(analysis)
     if unseen:
-        parts.append(f"never compared: {'all' if len(unseen) == len(gyros) else listed(unseen)}")
+        parts.append(f"never compared: {'all' if len(unseen) == gyros else listed(unseen)}")
     return "; ".join(parts) or "nothing, as far as the format can tell"
+
+
+def _never_compared(analysis: Analysis) -> list[str]:
+    """List the gyros that nothing was compared with, whatever they show of themselves."""
+    compared = set(analysis.isolability.detectable)
+    return [
+        shown(channel.name)
+        for channel, status in zip(analysis.table.channels, analysis.status, strict=True)
+        if not channel.derived and (status == "insufficient" or channel.name not in compared)
+    ]
 
 
 def _completeness(analysis: Analysis) -> str:

@@ -32,6 +32,13 @@ def test_bytes_or_suffix_make_a_log_and_each_is_found_once(tmp_path: Path) -> No
     assert names(tmp_path, "", "a", "a/known.bin") == expected
 
 
+def test_a_folder_that_takes_the_results_as_well_is_searched_but_for_these(tmp_path: Path) -> None:
+    flight(tmp_path / "known.bin", 1)
+    (tmp_path / "audit.sqlite").write_bytes(b"SQLite format 3\0" + bytes(100))
+    (tmp_path / "bag.db3").write_bytes(b"SQLite format 3\0" + bytes(100))
+    assert names(tmp_path, output=tmp_path) == ["bag.db3", "known.bin"]
+
+
 def test_a_pattern_and_a_file_that_is_named_are_taken_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "a.xyz").write_text("named, so it is a log")
     (tmp_path / "b.bin").touch()

@@ -134,6 +134,20 @@ def test_flights_in_which_a_gyro_is_one_of_several_suspects_are_counted_by_thems
     )
 
 
+def test_a_flight_that_is_there_twice_counts_once() -> None:
+    logs = (
+        log("a.bin", channels=(("imu0.x", "healthy"),)),
+        log("copy of a.bin", channels=(("imu0.x", "healthy"),), sha256=b"a.bin".hex()),
+        log("b.csv", channels=(("left.x", "healthy"),)),
+        log("unread.bin", verdict=None, duration_s=None),
+    )
+    made = campaign(*logs)
+    assert [one.path for one in made.flights] == ["copy of a.bin", "b.csv"]
+    view = campaign_view(made)
+    assert ("Flight time", "2 min") in view.facts
+    assert [row.flights for row in view.matrix] == ["2"]
+
+
 def test_the_worst_failure_is_first_and_its_size_is_told() -> None:
     suspected = finding("bias", "imu0.x", "imu1.x")
     short = dataclasses.replace(finding("bias", "imu1.y"), end_s=2.0)

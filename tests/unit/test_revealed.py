@@ -13,6 +13,8 @@ from fdilog.config import Config
 from fdilog.decision.revealed import Revealed, revealed
 from fdilog.experiments.faults import Fault
 from fdilog.experiments.simulate import simulate
+from fdilog_reports import markdown
+from fdilog_reports.detectability import detectability
 from fdilog_reports.sentences import limits
 from fdilog_reports.text import render
 
@@ -87,3 +89,21 @@ def test_a_single_gyro_without_a_witness_reveals_nothing_by_comparison() -> None
     alone = analyse_recording(replace(recording, streams=gyros), Config())
     assert revealed(alone.table, alone.evidence) == ()
     assert limits(alone) == []
+    assert "None: there was nothing to compare." in markdown.render(alone)
+
+
+def test_the_table_of_what_would_have_shown_tells_what_the_sentence_does() -> None:
+    brief = analysed(50.0, seconds=40.0)
+    group = group_of(brief, "imu0.x")
+    table = detectability(brief)
+    of_group = [row for row in table.rows if row.name in group.channels]
+    for k, one in enumerate(group.windows):
+        told = [float(row.smallest[k]) for row in of_group if row.smallest[k] != "none"]
+        if one.bias_rad_s is not None:
+            assert max(told) == pytest.approx(degrees(one.bias_rad_s), rel=0.06)
+
+
+def test_no_error_lasts_longer_than_the_flight() -> None:
+    (sentence,) = limits(analysed(50.0, seconds=40.0))
+    assert "on if it lasts all along; what lasts less than" in sentence
+    assert "90 s" not in sentence
