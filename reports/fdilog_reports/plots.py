@@ -45,6 +45,7 @@ SCRIPTS = ("bokeh.min.js", "bokeh-api.min.js")
 class Plots:
     """What a page needs to draw: words and numbers in JSON, and the lines as compressed bytes.
 
+    ``panels`` counts all plots, ``residuals`` those of a channel against the others.
     ``statistical`` and ``guaranteed`` say what the bands are, empty where there is none.
     """
 
@@ -52,6 +53,7 @@ class Plots:
     lines: str
     statistical: str
     guaranteed: str
+    residuals: int
     panels: int
 
 
@@ -100,13 +102,15 @@ def plots(analysis: Analysis) -> Plots | None:
         ],
     }
     facts["arrays"] = pack.lengths
+    residuals_drawn = sum(len(group["panels"]) for group in facts["groups"])
     text = json.dumps(facts, ensure_ascii=False, separators=(",", ":"))
     return Plots(
         facts=Markup(text.translate(SCRIPT_SAFE)),  # noqa: S704  escaped for where it goes
         lines=pack.text(),
         statistical=drawing.statistical_words,
         guaranteed=drawing.guaranteed_words,
-        panels=sum(1 + len(group["panels"]) for group in facts["groups"]),
+        residuals=residuals_drawn,
+        panels=len(facts["groups"]) + residuals_drawn,
     )
 
 

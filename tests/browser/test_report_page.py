@@ -287,6 +287,17 @@ def test_reports_of_a_campaign_draw_with_the_script_they_share(
         assert set(opened.requests) == {path.as_uri(), (tmp_path / name).as_uri()}
 
 
+def test_a_damaged_reading_does_not_flatten_the_flight(browser: Any, folder: Path) -> None:
+    made = table()
+    at_s = float(made.time_s[len(made.time_s) // 2])
+    damaged = with_error(made, "imu1.y", at_s, at_s, 1e6)
+    tops = "Math.max(...Bokeh.documents[0].roots().map(plot => plot.y_range.end))"
+    with context(browser) as of:
+        page = Opened(of.new_page(), written(folder, "damaged", analysis(damaged))).goto().page
+        assert page.locator(".linked .cut", has_text="are cut off").count() == 1
+        assert page.evaluate(tops) < 1e3
+
+
 def test_an_hour_of_six_channels_opens_and_is_drawn(browser: Any, folder: Path) -> None:
     made = with_error(
         table(sources=2, duration_s=3600.0, rate_hz=200.0), "imu1.y", 1800.0, 1800.0, 500.0

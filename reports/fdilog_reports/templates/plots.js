@@ -4,6 +4,7 @@
   const facts = JSON.parse(document.getElementById("plot-facts").textContent);
   const LEFT = 54, RIGHT = 8;  // pixels beside every frame, so that all times stand in line
   const RATE_HIGH = 150, RESIDUAL_HIGH = 130;
+  const FEW = 0.005, FLATTENED = 25;
   const LEAST_S = 10 * facts.step;  // narrower than this nothing can be told apart
 
   const inflated = async (id) => {
@@ -208,17 +209,27 @@
         readers.push((time) => { value.textContent = time === null ? "" : range(channel, time); });
         shown.push([channel, glyph]);
       }
+      const peaks = made("span", "cut");
+      head.append(peaks);
       rates.push(() => {
-        let least = Infinity, most = -Infinity;
+        const lows = [], highs = [];
         for (const [line, glyph] of shown) {
           if (!glyph.visible || !line.t.length) continue;
           const stop = nearest(line.t, x_range.end);
           for (let i = nearest(line.t, x_range.start); i <= stop; i += 1) {
-            if (line.low[i] < least) least = line.low[i];
-            if (line.high[i] > most) most = line.high[i];
+            if (line.low[i] <= line.high[i]) { lows.push(line.low[i]); highs.push(line.high[i]); }
           }
         }
-        if (least > most) return;
+        if (!lows.length) return;
+        lows.sort((a, b) => a - b);
+        highs.sort((a, b) => a - b);
+        let least = lows[0], most = highs[highs.length - 1];
+        // A few damaged readings must not flatten the flight; zoomed in, they are seen.
+        const few = Math.floor(FEW * lows.length);
+        const usual = highs[highs.length - 1 - few] - lows[few];
+        const cut = few > 0 && usual > 0 && most - least > FLATTENED * usual;
+        peaks.textContent = cut ? `peaks from ${number(least)} to ${number(most)} are cut off` : "";
+        if (cut) { least = lows[few] - usual / 2; most = highs[highs.length - 1 - few] + usual / 2; }
         const room = 0.06 * (most - least) || 1;
         y_range.start = least - room;
         y_range.end = most + room;
