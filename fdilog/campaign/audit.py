@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any, Protocol
 
@@ -206,10 +207,21 @@ class _Work:
         return pending
 
     def _whole_result(self, result: str) -> bool:
-        """Whether a result is known and all of its reports are still there."""
+        """Whether a result is known, with all reports that are asked for, and these are there."""
         if self.settings.fresh or result not in self._reports:
             return False
-        return all((self.store.folder / name).is_file() for name in self._reports[result])
+        made = self._reports[result]
+        # What could not be analysed has none.
+        if made and not all(any(name.endswith(s) for name in made) for s in self._suffixes):
+            return False
+        return all((self.store.folder / name).is_file() for name in made)
+
+    @cached_property
+    def _suffixes(self) -> list[str]:
+        """How the names of the reports end that are asked for."""
+        from fdilog.registry import plugin
+
+        return [plugin("reports", name).suffix for name in self.settings.formats]
 
     def _by_content(self, pending: Sequence[Candidate]) -> dict[str, list[Candidate]]:
         """Group logs by the result that they will have; what may be unique is not hashed here."""

@@ -167,6 +167,17 @@ def test_a_report_that_was_deleted_is_made_again(tmp_path: Path, small: Path) ->
     assert len(list((output / "logs").glob("f0-*.html"))) == 1
 
 
+def test_reports_of_another_format_are_made_of_known_logs(tmp_path: Path, small: Path) -> None:
+    output = tmp_path / "out"
+    audit([str(small)], output, Settings(jobs=1, formats=("json",)))
+    assert not list((output / "logs").glob("*.html"))
+    audit([str(small)], output, Settings(jobs=1, formats=("html",)))
+    assert analysed(output) == [3, 3]
+    assert len(list((output / "logs").glob("f*.html"))) == 3
+    audit([str(small)], output, Settings(jobs=1, formats=("html",)))
+    assert analysed(output) == [3, 3, 0]
+
+
 def test_what_could_not_be_kept_is_not_counted(
     tmp_path: Path, small: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
