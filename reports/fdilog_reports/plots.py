@@ -22,7 +22,7 @@ from fdilog.finding import Evidence
 from fdilog.maths.geometry import blocks
 from fdilog_reports.figures import RateAxis, TimeAxis
 from fdilog_reports.residuals import Residual, drawn_evidence, intervals, mirrored, residuals
-from fdilog_reports.sentences import KIND_NAME, finding_sentence
+from fdilog_reports.sentences import KIND_NAME, finding_sentence, taken_out
 from fdilog_reports.series import Floats, Pack, compressed, decimate
 from fdilog_reports.template import FOLDER, SCRIPT_SAFE, html_environment
 from fdilog_reports.words import DEG_PER_RAD, figure, listed, percent, shown
@@ -218,7 +218,7 @@ class _Drawing:
             return ""
         return (
             f"{percent(item.confidence)} interval of the error over"
-            f" {figure(item.windows.length_s)} s ({shown(item.detector)})"
+            f" {figure(item.windows.length_s)} s ({shown(item.detector)}{taken_out(self.analysis)})"
         )
 
     @property

@@ -30,6 +30,7 @@ from fdilog_reports.residuals import (
     mirrored,
     residuals,
 )
+from fdilog_reports.sentences import taken_out
 from fdilog_reports.words import DEG_PER_RAD, figure, flight_time, listed, percent, shown
 
 
@@ -110,7 +111,7 @@ def residual_picture(analysis: Analysis) -> Residuals:
     return Residuals(
         groups=tuple(groups),
         tolerance=figure(tolerance),
-        bars=_bars_in_words(drawn) if drawn is not None else "",
+        bars=f"{_bars_in_words(drawn)}{taken_out(analysis)}" if drawn is not None else "",
         time_ticks=axis.ticks(),
     )
 

@@ -32,6 +32,9 @@ _PRINTED_UNIT = {
 }
 _PRINTED_FACTOR = {"scale": (100.0, "%"), "noise": (1.0, "times")}
 
+MENDING = {"gains", "mounting"}
+"""Who finds a wrong unit, range or mounting."""
+
 KIND_NAME = {
     "bias": "bias",
     "drift": "drift",
@@ -372,6 +375,15 @@ def blind_spots(analysis: Analysis) -> list[str]:
     tolerance = figure(analysis.config.tolerance.bias_deg_s)
     said.append(f"Errors below the tolerance of {tolerance} deg/s are not called failures.")
     return said
+
+
+def taken_out(analysis: Analysis) -> str:
+    """Say what is in the readings as they are drawn, and not in the intervals of their errors.
+
+    A wrong unit, range or mounting is taken out before anything is compared.
+    """
+    kinds = {KIND_NAME[one.kind] for one in analysis.findings if MENDING & set(one.detectors)}
+    return f"; {listed(sorted(kinds))} taken out" if kinds else ""
 
 
 def limits(analysis: Analysis) -> list[str]:

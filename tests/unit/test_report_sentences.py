@@ -18,7 +18,7 @@ from fdilog.finding import Finding, Size
 from fdilog.sources.gyros import SourceInfo
 from fdilog.table import ChannelTable
 from fdilog_reports import html
-from fdilog_reports.sentences import blind_spots, finding_sentence, verdict_sentence
+from fdilog_reports.sentences import blind_spots, finding_sentence, taken_out, verdict_sentence
 from fdilog_reports.timeline import timeline
 from fdilog_reports.view import report
 from fdilog_reports.words import DEG_PER_RAD
@@ -331,3 +331,13 @@ def test_the_autopilot_is_quoted_in_every_report() -> None:
     assert 'href="#autopilot"' in page
     assert 'id="autopilot"' not in html.render(analysis())
     assert "autopilot" not in analysis().to_text()
+
+
+def test_intervals_say_what_was_taken_out_of_the_readings_beside_them() -> None:
+    made = failed_analysis()
+    assert taken_out(made) == ""
+    turned = replace(made.findings[0], kind="mounting", size=None, detectors=("mounting",))
+    doubled = replace(made.findings[0], kind="scale", detectors=("gains",))
+    made = replace(made, findings=(turned, doubled))
+    assert taken_out(made) == "; mounting and scale error taken out"
+    assert "; mounting and scale error taken out)" in html.render(made)
