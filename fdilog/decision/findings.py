@@ -27,7 +27,7 @@ FEWEST_TOGETHER: dict[Kind, int] = {
     "dead": 10,
 }
 _WORDS: dict[Kind, str] = {
-    "impulse": "one reading or a few far off, confirmed by no other gyro",
+    "impulse": "one reading or a few far off, which nothing else confirms",
     "dead": "reads exactly zero",
     "dropout": "silent while other sources go on",
     "saturated": "reads its full scale, and may have turned faster",

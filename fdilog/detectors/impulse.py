@@ -65,7 +65,7 @@ READINGS_A_MANOEUVRE = 4
 class ImpulseDetector:
     """Impulses of one reading or a few, each channel judged by itself."""
 
-    description: ClassVar[str] = "one reading or a few far off, confirmed by no other gyro"
+    description: ClassVar[str] = "one reading or a few far off, which nothing else confirms"
     stage: ClassVar[Stage] = "alone"
 
     def detect(self, survey: Survey) -> list[Evidence]:
